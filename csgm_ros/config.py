@@ -1,0 +1,263 @@
+"""Every default, unit, bound and description, once.
+
+The YAML files in ``config/``, the command line and the ROS parameters are all made from these dataclasses.
+Lengths are relative to the cloud's radius (largest distance to the centroid, Sec. IV-A) unless a unit says
+otherwise.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import typing
+from dataclasses import dataclass, field
+from typing import Any
+
+from csgm_ros.errors import ConfigError
+
+RADIUS = 'radius of the cloud'
+
+
+def param(default, description, *, unit='', low=None, high=None, choices=None):
+    """Declare one value with all that a user or a ParameterDescriptor needs to know of it."""
+    metadata = {'description': description, 'unit': unit, 'low': low, 'high': high, 'choices': choices}
+    return field(default=default, metadata=metadata)
+
+
+class Checked:
+    """Mixin: a frozen dataclass whose values are checked against their metadata on construction."""
+
+    def __post_init__(self):
+        hints = typing.get_type_hints(type(self))
+        for spec in dataclasses.fields(self):
+            value = getattr(self, spec.name)
+            if not dataclasses.is_dataclass(value):
+                object.__setattr__(self, spec.name, checked_value(spec, hints[spec.name], value))
+
+
+def checked_value(spec: dataclasses.Field, kind: Any, value: Any) -> Any:
+    """Return ``value`` as ``kind``, or raise ConfigError saying what is allowed."""
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if typing.get_origin(kind) is tuple:
+        if not isinstance(value, (list, tuple)) or not value:
+            raise ConfigError(f'{spec.name} must be a non-empty list of numbers, not {value!r}')
+        return tuple(checked_value(spec, typing.get_args(kind)[0], item) for item in value)
+    if type(value) is not kind:
+        raise ConfigError(f'{spec.name} must be {kind.__name__}, not {value!r}')
+    low, high, choices = (spec.metadata.get(key) for key in ('low', 'high', 'choices'))
+    if choices and value not in choices:
+        raise ConfigError(f'{spec.name} must be one of {", ".join(choices)}, not {value!r}')
+    if kind is float and math.isnan(value):
+        raise ConfigError(f'{spec.name} must be a number, not NaN')
+    if (low is not None and value < low) or (high is not None and value > high):
+        raise ConfigError(f'{spec.name} must lie in [{low}, {high}], not {value!r}')
+    return value
+
+
+@dataclass(frozen=True)
+class PreprocessConfig(Checked):
+    """Finite filter and voxel grid, before anything else."""
+
+    voxel_size: float = param(
+        0.02, 'edge of the voxel grid every later stage works on', unit=RADIUS, low=0.001, high=0.2
+    )
+    normal_neighbors: int = param(20, 'points from which a normal is estimated', low=3, high=200)
+
+
+@dataclass(frozen=True)
+class ScaleConfig(Checked):
+    """Step 1, scale normalisation, Eq. (1)."""
+
+    estimate_scale: bool = param(True, 'estimate the scale; false for sensors that share a unit (rigid mode)')
+    scale_min: float = param(
+        1e-6, 'smallest scale that a result may have', unit='target per source unit', low=1e-9, high=1e9
+    )
+    scale_max: float = param(
+        1e6, 'largest scale that a result may have', unit='target per source unit', low=1e-9, high=1e9
+    )
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.scale_min >= self.scale_max:
+            raise ConfigError(f'scale_min {self.scale_min} must be below scale_max {self.scale_max}')
+
+
+@dataclass(frozen=True)
+class SupervoxelConfig(Checked):
+    """Step 2a, macro structure: supervoxels (VCCS) and their adjacency."""
+
+    voxel_size: float = param(
+        0.03, 'edge of the voxels that supervoxels are grown from', unit=RADIUS, low=0.002, high=0.2
+    )
+    seed_size: float = param(0.20, 'supervoxel radius: spacing of the seeds', unit=RADIUS, low=0.01, high=1.0)
+    spatial_weight: float = param(0.4, 'weight of the distance to the supervoxel centre', low=0.0, high=100.0)
+    normal_weight: float = param(1.0, 'weight of the angle between the normals', low=0.0, high=100.0)
+    refinements: int = param(0, 'rounds of re-seeding at the centroids', low=0, high=10)
+
+
+@dataclass(frozen=True)
+class DescriptorConfig(Checked):
+    """Step 2b, micro structure: what describes a node."""
+
+    kind: str = param(
+        'context',
+        'esf: ESF-640 of the bare supervoxel (the paper); context: ESF and FPFH of its surroundings',
+        choices=('esf', 'context'),
+    )
+    context_radius: float = param(
+        1.5, 'radius of the surroundings that describe a node', unit='seed_size', low=0.5, high=10.0
+    )
+    esf_samples: int = param(4000, 'random triples of points per ESF descriptor', low=100, high=1000000)
+
+
+@dataclass(frozen=True)
+class GraphConfig(Checked):
+    """Step 3, graph construction and affinities, Eq. (2) and Eq. (3)."""
+
+    edges: str = param(
+        'neighbors',
+        'adjacency: of the supervoxels (the paper); neighbors: nearest nodes, both directions',
+        choices=('adjacency', 'neighbors'),
+    )
+    neighbors: int = param(6, 'edges that leave each node when edges is neighbors', low=1, high=50)
+    edge_descriptor: str = param(
+        'invariant',
+        'euler: angles to the axes and length (the paper); invariant: length and angles with the normals',
+        choices=('euler', 'invariant'),
+    )
+    similarity: str = param(
+        'gaussian',
+        'linear: 1 - D / max(D) (the paper); gaussian: exp(-D^2 / 2 sigma^2)',
+        choices=('linear', 'gaussian'),
+    )
+    node_sigma: float = param(0.5, 'width of the Gaussian node similarity', unit='median of D', low=0.01, high=100.0)
+    edge_sigma: float = param(0.3, 'width of the Gaussian edge similarity', low=0.01, high=100.0)
+
+
+@dataclass(frozen=True)
+class MatchingConfig(Checked):
+    """Step 4, enhanced factorised graph matching, Eq. (4) to Eq. (8)."""
+
+    alpha_steps: int = param(
+        11, 'values of alpha on the path from the concave to the convex relaxation', low=2, high=1001
+    )
+    frank_wolfe_iterations: int = param(50, 'Frank-Wolfe steps at most per alpha', low=1, high=10000)
+    gap_tolerance: float = param(1e-3, 'duality gap at which Frank-Wolfe stops', unit='objective', low=0.0, high=1.0)
+    smooth_weight: float = param(
+        0.1, 'weight of J_smooth, Eq. (8); 0 turns it off, 1 is the paper', low=0.0, high=100.0
+    )
+
+
+@dataclass(frozen=True)
+class RansacConfig(Checked):
+    """Step 5a, 3-D RANSAC on the matched centroids, with scale."""
+
+    iterations: int = param(5000, 'random triples tried', low=10, high=10000000)
+    inlier_distance: float = param(0.1, 'largest distance of an inlier', unit=RADIUS, low=0.001, high=1.0)
+
+
+@dataclass(frozen=True)
+class IcpConfig(Checked):
+    """Step 5b, ICP with scale and shrinking gates."""
+
+    iterations: int = param(30, 'ICP iterations at most per gate', low=1, high=1000)
+    gates: tuple[float, ...] = param(
+        (0.05, 0.02, 0.01),
+        'largest distance of a correspondence, one ICP run after the other',
+        unit=RADIUS,
+        low=0.0005,
+        high=1.0,
+    )
+
+
+@dataclass(frozen=True)
+class Config(Checked):
+    """Everything :func:`csgm_ros.register` can be told, one part a stage."""
+
+    profile: str = param(
+        'robust', 'robust: the default; paper: the literal method, for comparison', choices=('robust', 'paper')
+    )
+    threads: int = param(0, 'threads at most; 0 takes every core. The result does not depend on it', low=0, high=256)
+    time_budget: float = param(
+        0.0,
+        'seconds after which the best verified answer so far is judged; 0 for no limit',
+        unit='s',
+        low=0.0,
+        high=86400.0,
+    )
+    preprocess: PreprocessConfig = field(default_factory=PreprocessConfig)
+    scale: ScaleConfig = field(default_factory=ScaleConfig)
+    supervoxels: SupervoxelConfig = field(default_factory=SupervoxelConfig)
+    descriptors: DescriptorConfig = field(default_factory=DescriptorConfig)
+    graph: GraphConfig = field(default_factory=GraphConfig)
+    matching: MatchingConfig = field(default_factory=MatchingConfig)
+    ransac: RansacConfig = field(default_factory=RansacConfig)
+    icp: IcpConfig = field(default_factory=IcpConfig)
+
+
+PAPER = {
+    'descriptors.kind': 'esf',
+    'descriptors.esf_samples': 20000,
+    'graph.edges': 'adjacency',
+    'graph.edge_descriptor': 'euler',
+    'graph.similarity': 'linear',
+    'matching.alpha_steps': 101,
+    'matching.frank_wolfe_iterations': 100,
+    'matching.smooth_weight': 1.0,
+}
+
+
+def profile(name: str = 'robust') -> Config:
+    """Return the configuration of a profile, ``robust`` or ``paper``."""
+    config = replaced(Config(), {'profile': name})
+    return replaced(config, PAPER) if name == 'paper' else config
+
+
+def flatten(config: Any, prefix: str = '') -> dict[str, Any]:
+    """Return ``{'stage.name': value}`` of a configuration, in order."""
+    flat = {}
+    for spec in dataclasses.fields(config):
+        value = getattr(config, spec.name)
+        if dataclasses.is_dataclass(value):
+            flat.update(flatten(value, f'{prefix}{spec.name}.'))
+        else:
+            flat[prefix + spec.name] = list(value) if isinstance(value, tuple) else value
+    return flat
+
+
+def parameter_fields(config_type: Any = Config, prefix: str = '') -> dict[str, dataclasses.Field]:
+    """Return ``{'stage.name': dataclass field}``: the metadata beside :func:`flatten`'s values."""
+    hints, found = typing.get_type_hints(config_type), {}
+    for spec in dataclasses.fields(config_type):
+        if dataclasses.is_dataclass(hints[spec.name]):
+            found.update(parameter_fields(hints[spec.name], f'{prefix}{spec.name}.'))
+        else:
+            found[prefix + spec.name] = spec
+    return found
+
+
+def replaced(config: Any, values: dict[str, Any]) -> Any:
+    """Return ``config`` with dotted names replaced, checked as a whole.
+
+    Raises
+    ------
+    ConfigError
+        For a name that does not exist or a value out of its type or bounds; the message names it.
+    """
+    unknown = [name for name in values if name not in flatten(config)]
+    if unknown:
+        raise ConfigError(f'no parameter {unknown[0]!r}; `csgm config` lists all of them')
+    own, nested = {}, {}
+    for name, value in values.items():
+        head, _, rest = name.partition('.')
+        if rest:
+            nested.setdefault(head, {})[rest] = value
+        else:
+            own[head] = value
+    for head, part in nested.items():
+        try:
+            own[head] = replaced(getattr(config, head), part)
+        except ConfigError as error:
+            raise ConfigError(f'{head}.{error}') from None
+    return dataclasses.replace(config, **own)

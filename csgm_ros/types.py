@@ -1,0 +1,246 @@
+"""The nouns that flow between the stages: frozen, validated, without behaviour of their own.
+
+One sentence fixes every direction: ``x_target = s * R @ x_source + t``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from csgm_ros.config import Config
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """A similarity transform, ``x_target = scale * rotation @ x_source + translation``.
+
+    Attributes
+    ----------
+    scale : float
+        Target units per source unit, > 0.
+    rotation : (3, 3) ndarray
+        Proper rotation.
+    translation : (3,) ndarray
+        In target units; acts on the already scaled and rotated source.
+    """
+
+    scale: float
+    rotation: np.ndarray
+    translation: np.ndarray
+
+    @classmethod
+    def identity(cls) -> Similarity:
+        """Return the transform that moves nothing."""
+        return cls(1.0, np.eye(3), np.zeros(3))
+
+    @classmethod
+    def from_matrix(cls, matrix: np.ndarray) -> Similarity:
+        """Split a homogeneous (4, 4) similarity matrix."""
+        matrix = np.asarray(matrix, float)
+        scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+        return cls(scale, matrix[:3, :3] / scale, matrix[:3, 3].copy())
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """The homogeneous (4, 4) matrix ``T_target_source``."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = self.scale * self.rotation
+        matrix[:3, 3] = self.translation
+        return matrix
+
+    def apply(self, points: np.ndarray) -> np.ndarray:
+        """Move (N, 3) source points into the target's frame and unit."""
+        return self.scale * (points @ self.rotation.T) + self.translation
+
+    def inverse(self) -> Similarity:
+        """Return the transform from target to source."""
+        scale = 1.0 / self.scale
+        return Similarity(scale, self.rotation.T, -scale * (self.rotation.T @ self.translation))
+
+    def __matmul__(self, other: Similarity) -> Similarity:
+        """Compose: ``(a @ b).apply(x) == a.apply(b.apply(x))``."""
+        return Similarity(self.scale * other.scale, self.rotation @ other.rotation, self.apply(other.translation))
+
+
+@dataclass(frozen=True, eq=False)
+class Supervoxels:
+    """A cloud cut into supervoxels: the macro and micro structure (Sec. III-B).
+
+    Attributes
+    ----------
+    labels : (N,) int32 ndarray
+        Supervoxel of each input point, -1 where the flow did not reach.
+    centroids, normals : (n, 3) ndarray
+        Mean position and unit mean normal of each supervoxel.
+    sizes : (n,) int64 ndarray
+        Voxels in each supervoxel.
+    adjacency : (m, 2) int32 ndarray
+        Directed edges (start, end); each adjacent pair occurs once, "without flowing back".
+    voxel_points, voxel_normals : (v, 3) ndarray
+        The voxel centroids the segmentation worked on and their unit normals (NaN where undefined).
+    voxel_labels : (v,) int32 ndarray
+        Supervoxel of each voxel, -1 for none.
+    point_voxels : (N,) int32 ndarray
+        Voxel of each input point.
+    """
+
+    labels: np.ndarray
+    centroids: np.ndarray
+    normals: np.ndarray
+    sizes: np.ndarray
+    adjacency: np.ndarray
+    voxel_points: np.ndarray
+    voxel_normals: np.ndarray
+    voxel_labels: np.ndarray
+    point_voxels: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.centroids)
+
+
+@dataclass(frozen=True, eq=False)
+class StructureGraph:
+    """Nodes with micro-structure descriptors, directed edges with macro-structure descriptors (Sec. III-C).
+
+    Attributes
+    ----------
+    nodes, normals : (n, 3) ndarray
+        Centroids and normals of the supervoxels, in the cloud's own unit.
+    node_descriptors : (n, d_p) ndarray
+        P of the paper, one row a node.
+    edges : (m, 2) int32 ndarray
+        Directed edges, 0-based (start, end): the incidence matrices G and H as indices.
+    edge_descriptors : (m, d_q) ndarray
+        Q of the paper, one row an edge.
+    """
+
+    nodes: np.ndarray
+    normals: np.ndarray
+    node_descriptors: np.ndarray
+    edges: np.ndarray
+    edge_descriptors: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Matching:
+    """A one-to-one assignment of the nodes of two graphs (Sec. III-D).
+
+    Attributes
+    ----------
+    assignment : (n1, n2) uint8 ndarray
+        X of the paper: 0/1, every row and column sums to at most one.
+    objective : float
+        J(X) of Eq. (4) on the given affinities.
+    iterations : int
+        Frank-Wolfe steps taken.
+    """
+
+    assignment: np.ndarray
+    objective: float
+    iterations: int
+
+    @property
+    def pairs(self) -> np.ndarray:
+        """(k, 2) int array of matched node indices (graph 1, graph 2)."""
+        return np.argwhere(self.assignment)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a transform is right, and why.
+
+    Attributes
+    ----------
+    accepted : bool
+        True only where the evidence is beyond the configured thresholds; False is the safe answer.
+    reason : str
+        One line for a person.
+    fitness_source, fitness_target : float
+        Share of the source lying on the target, and of the target lying on the source, in [0, 1].
+    inlier_rmse : float
+        RMS distance of the inliers, target units.
+    margin : float
+        Smaller fitness of the winner over that of the best *different* hypothesis; inf when there is none.
+    """
+
+    accepted: bool
+    reason: str
+    fitness_source: float
+    fitness_target: float
+    inlier_rmse: float
+    margin: float
+
+
+@dataclass(frozen=True, eq=False)
+class RegistrationResult:
+    """What :func:`csgm_ros.register` returns.
+
+    Attributes
+    ----------
+    transform : Similarity
+        ``x_target = scale * rotation @ x_source + translation``. The best estimate even when rejected:
+        look at ``accepted`` first.
+    verdict : Verdict
+        Acceptance, reason and the numbers behind it.
+    timings : dict of str to float
+        Wall seconds per stage, in order.
+    seed : int
+        Seed of the random generator.
+    config : Config
+        The whole configuration used.
+    source_graph, target_graph : StructureGraph or None
+        The matched graphs, in the clouds' own units.
+    matches : (k, 2) int ndarray
+        Matched nodes (source, target).
+    match_inliers : (k,) bool ndarray
+        Which matches agree with ``transform``.
+    """
+
+    transform: Similarity
+    verdict: Verdict
+    timings: dict[str, float]
+    seed: int
+    config: Config
+    source_graph: StructureGraph | None = None
+    target_graph: StructureGraph | None = None
+    matches: np.ndarray = field(default_factory=lambda: np.empty((0, 2), int))
+    match_inliers: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
+
+    @property
+    def T_target_source(self) -> np.ndarray:  # noqa: N802 - the frame is part of the name
+        """Homogeneous (4, 4) similarity."""
+        return self.transform.matrix
+
+    @property
+    def scale(self) -> float:
+        """Target units per source unit."""
+        return self.transform.scale
+
+    @property
+    def accepted(self) -> bool:
+        """True when the result may be used."""
+        return self.verdict.accepted
+
+    @property
+    def reason(self) -> str:
+        """Why it was accepted or rejected."""
+        return self.verdict.reason
+
+    @property
+    def fitness_source(self) -> float:
+        """Share of the source that lies on the target."""
+        return self.verdict.fitness_source
+
+    @property
+    def fitness_target(self) -> float:
+        """Share of the target that lies on the source."""
+        return self.verdict.fitness_target
+
+    @property
+    def seconds(self) -> float:
+        """Wall seconds of the whole registration."""
+        return sum(self.timings.values())
