@@ -1,0 +1,20 @@
+"""CSGM: registration of point clouds from different kinds of sensor by their structure graphs."""
+
+from importlib import import_module
+
+_HOMES = {
+    'register': 'csgm_ros.pipeline',
+    'Config': 'csgm_ros.config',
+    'profile': 'csgm_ros.config',
+    'RegistrationResult': 'csgm_ros.types',
+    'Similarity': 'csgm_ros.types',
+    'Verdict': 'csgm_ros.types',
+}
+__all__ = list(_HOMES)  # noqa: PLE0604
+
+
+def __getattr__(name: str):
+    """Import on first use, so that `import csgm_ros` stays cheap (scipy, numba and Open3D are not)."""
+    if name not in _HOMES:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(import_module(_HOMES[name]), name)
