@@ -10,7 +10,7 @@ _HOMES = {
     'Similarity': 'csgm_ros.types',
     'Verdict': 'csgm_ros.types',
 }
-__all__ = list(_HOMES)  # noqa: PLE0604
+__all__ = ['Config', 'RegistrationResult', 'Similarity', 'Verdict', 'profile', 'register']
 
 
 def __getattr__(name: str):

@@ -1,0 +1,1 @@
+"""The edge to people: command line, files, pictures, a synthetic Kinect and SfM."""
