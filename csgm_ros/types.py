@@ -67,6 +67,23 @@ class Similarity:
 
 
 @dataclass(frozen=True, eq=False)
+class PreparedCloud:
+    """A cloud as the stages see it: centred, radius 1, one point a voxel.
+
+    Attributes
+    ----------
+    points, normals : (N, 3) ndarray
+        Voxel means and unit normals of arbitrary sign.
+    normalization : Similarity
+        From the cloud's own unit to this frame.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    normalization: Similarity
+
+
+@dataclass(frozen=True, eq=False)
 class Supervoxels:
     """A cloud cut into supervoxels: the macro and micro structure (Sec. III-B).
 
