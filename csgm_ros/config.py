@@ -60,7 +60,7 @@ class PreprocessConfig(Checked):
     """Finite filter and voxel grid, before anything else."""
 
     voxel_size: float = param(
-        0.02, 'edge of the voxel grid every later stage works on', unit=RADIUS, low=0.001, high=0.2
+        0.03, 'edge of the voxel grid every later stage works on', unit=RADIUS, low=0.001, high=0.2
     )
     normal_neighbors: int = param(20, 'points from which a normal is estimated', low=3, high=200)
 
@@ -158,12 +158,58 @@ class RansacConfig(Checked):
 
 
 @dataclass(frozen=True)
-class IcpConfig(Checked):
-    """Step 5b, ICP with scale and shrinking gates."""
+class HypothesesConfig(Checked):
+    """Step 5b, many hypotheses instead of one: where they come from and how many."""
 
+    sources: str = param(
+        'both',
+        'ransac: the one transform of RANSAC on the matches (the paper); graph: triples of matched nodes and of '
+        'their next-best partners; local: triples of local features (FPFH); both: graph and local',
+        choices=('ransac', 'graph', 'local', 'both'),
+    )
+    partners: int = param(4, 'candidate partners of each node or local feature', low=1, high=50)
+    features: int = param(500, 'local features taken from the source', low=10, high=100000)
+    feature_radius: float = param(0.25, 'radius of a local feature', unit=RADIUS, low=0.02, high=1.0)
+    relative_scales: tuple[float, ...] = param(
+        (0.7, 1.0, 1.4), 'scales tried relative to Eq. (1), whose error reaches 42 %', low=0.05, high=20.0
+    )
+    trials: int = param(300000, 'random triples drawn per relative scale and source', low=100, high=100000000)
+    limit: int = param(10000, 'hypotheses kept per relative scale and source', low=10, high=1000000)
+    min_side: float = param(0.2, 'shortest side of a triple', unit=RADIUS, low=0.01, high=1.0)
+    side_tolerance: float = param(0.15, 'how much the scales of the sides of a triple may differ', low=0.01, high=1.0)
+
+
+@dataclass(frozen=True)
+class VerificationConfig(Checked):
+    """Which hypothesis is right, and is it right at all."""
+
+    samples: int = param(150, 'points of either side for the coarse score', low=20, high=100000)
+    coarse_distance: float = param(0.05, 'gate of the coarse score', unit=RADIUS, low=0.005, high=0.5)
+    refined: int = param(30, 'best different hypotheses that get a short ICP', low=1, high=10000)
+    distinct: float = param(
+        0.1, 'RMS displacement from which two transforms count as different', unit=RADIUS, low=0.01, high=1.0
+    )
+    gates: tuple[float, ...] = param((0.1, 0.06, 0.04), 'gates of the short ICP', unit=RADIUS, low=0.001, high=0.12)
+    inlier_distance: float = param(
+        0.03, 'a point lies on the other cloud when this close', unit=RADIUS, low=0.001, high=0.12
+    )
+    max_normal_angle: float = param(40.0, 'and when the normals differ by no more', unit='degree', low=1.0, high=90.0)
+    min_fitness: float = param(
+        0.15, 'smaller fitness of the two sides below which a result is rejected', low=0.0, high=1.0
+    )
+    min_margin: float = param(
+        1.1, 'fitness over that of the best different hypothesis below which a result is ambiguous', low=1.0, high=100.0
+    )
+
+
+@dataclass(frozen=True)
+class IcpConfig(Checked):
+    """Step 5c, final ICP with scale and shrinking gates."""
+
+    voxel_size: float = param(0.01, 'voxel grid of the clouds for the final ICP', unit=RADIUS, low=0.001, high=0.2)
     iterations: int = param(30, 'ICP iterations at most per gate', low=1, high=1000)
     gates: tuple[float, ...] = param(
-        (0.05, 0.02, 0.01),
+        (0.03, 0.02, 0.01),
         'largest distance of a correspondence, one ICP run after the other',
         unit=RADIUS,
         low=0.0005,
@@ -193,7 +239,34 @@ class Config(Checked):
     graph: GraphConfig = field(default_factory=GraphConfig)
     matching: MatchingConfig = field(default_factory=MatchingConfig)
     ransac: RansacConfig = field(default_factory=RansacConfig)
+    hypotheses: HypothesesConfig = field(default_factory=HypothesesConfig)
+    verification: VerificationConfig = field(default_factory=VerificationConfig)
     icp: IcpConfig = field(default_factory=IcpConfig)
+
+
+@dataclass(frozen=True)
+class NodeConfig(Checked):
+    """What only the ROS node needs, beside :class:`Config`."""
+
+    autostart: bool = param(False, 'configure and activate at start, without a lifecycle manager')
+    trigger: str = param(
+        'on_request',
+        'on_request: only by ~/register; on_first_pair: also once, when both clouds are there; on_new_source: also '
+        'for every new source cloud; on_every_pair: also whenever either cloud is new. The newest pair wins',
+        choices=('on_request', 'on_first_pair', 'on_new_source', 'on_every_pair'),
+    )
+    seed: int = param(0, 'seed of the random generator; the same clouds and seed give the same result', low=0)
+    publish_tf: bool = param(False, 'send the rigid part to /tf_static; TF cannot carry the scale')
+    child_frame: str = param('', "frame of the scaled source; empty for the source's frame with _scaled appended")
+    fixed_frame: str = param('', 'frame that accumulated clouds are moved into through TF; empty: they share a frame')
+    source_window: int = param(1, 'newest messages of the source that are merged into one cloud', low=1, high=1000)
+    target_window: int = param(1, 'newest messages of the target that are merged into one cloud', low=1, high=1000)
+    window_voxel: float = param(
+        0.002, 'edge of the voxels in which merged messages are averaged', unit=RADIUS, low=0.0, high=0.1
+    )
+    input_timeout: float = param(
+        5.0, 'silence of an input after which the node warns and names the remedy', unit='s', low=0.5, high=3600.0
+    )
 
 
 PAPER = {
@@ -205,6 +278,7 @@ PAPER = {
     'matching.alpha_steps': 101,
     'matching.frank_wolfe_iterations': 100,
     'matching.smooth_weight': 1.0,
+    'hypotheses.sources': 'ransac',
 }
 
 
