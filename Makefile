@@ -1,0 +1,54 @@
+# make demo | test | lint | bench | clean; see the README. Overrides: PYTHON=python3.11 VENV=/some/where
+VENV ?= .venv
+PYTHON ?=
+TESTS ?= test
+BENCH ?= benchmarks
+
+PY := $(VENV)/bin/python
+READY := $(VENV)/.ready
+TF2 := $(if $(wildcard test/build_tf2_msgs.sh),$(VENV)/.tf2_msgs)
+
+# A sourced ROS install must not mix with the wheels of the virtual environment.
+unexport PYTHONPATH PYTHONHOME AMENT_PREFIX_PATH LD_LIBRARY_PATH RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+.PHONY: help setup demo test lint bench config lock clean
+
+help:
+	@echo 'make demo    the live node registers a simulated Kinect and a simulated SfM cloud'
+	@echo 'make test    every test (TESTS=test/test_files.py for some)'
+	@echo 'make lint    style and format'
+	@echo 'make bench   measured figures, with their references beside them'
+	@echo 'make clean   remove what the others made, the virtual environment included'
+	@echo 'PYTHON=...   interpreter to use (3.11 or 3.12)    VENV=...  where the environment lives'
+
+setup: $(READY)
+
+$(READY): requirements.lock setup.py setup.cfg .ci/bootstrap.sh
+	@PYTHON='$(PYTHON)' .ci/bootstrap.sh '$(VENV)'
+
+$(VENV)/.tf2_msgs: test/build_tf2_msgs.sh $(READY)
+	@echo 'Building tf2_msgs from its interface files (about half a minute) ...'
+	@test/build_tf2_msgs.sh '$(VENV)' && touch $@
+
+demo: $(READY)
+	@$(PY) -m csgm_ros.tools.cli demo
+
+test: $(READY) $(TF2)
+	@$(PY) -m pytest $(TESTS)
+
+lint: $(READY)
+	@$(PY) -m ruff check . && $(PY) -m ruff format --check .
+
+bench: $(READY)
+	@set -e; for script in $(BENCH)/*.py; do echo "== $$script"; $(PY) "$$script"; done
+
+config: $(READY)
+	@$(PY) -m csgm_ros.tools.cli config > config/csgm.yaml
+	@$(PY) -m csgm_ros.tools.cli config --profile paper > config/paper.yaml
+
+lock: $(READY)
+	@.ci/lock.sh '$(VENV)' > requirements.lock.new && mv requirements.lock.new requirements.lock
+
+clean:
+	rm -rf '$(VENV)' build install log demo_output .pytest_cache .ruff_cache .hypothesis csgm_ros.egg-info
+	find csgm_ros test benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
