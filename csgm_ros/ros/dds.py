@@ -1,0 +1,44 @@
+"""Fast DDS with buffers that hold a whole cloud: the default ones lose most best-effort clouds of a few MB."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from csgm_ros.errors import InputError
+from csgm_ros.tools.resources import config_file
+
+PROFILE_VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
+OTHER_CHOICES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTDDS_BUILTIN_TRANSPORTS')
+BUFFER_BYTES = 4 * 2**20
+BUFFER_LIMIT = Path('/proc/sys/net/core/rmem_max')
+REMEDY = (
+    f'large best-effort clouds need large socket buffers: sudo sysctl -w net.core.rmem_max={BUFFER_BYTES}, and '
+    f'{PROFILE_VARIABLE} set to the fastdds.xml of this package, or a reliable publisher'
+)
+
+
+def use_large_buffers() -> str:
+    """Select the shipped profile for this process unless the user chose transports; return what holds, for the log.
+
+    Must be called before ``rclpy.init``.
+    """
+    for variable in (PROFILE_VARIABLE, *OTHER_CHOICES):
+        if variable in os.environ:
+            return f'transports as {variable}={os.environ[variable]} says'
+    if os.environ.get('RMW_IMPLEMENTATION', 'rmw_fastrtps_cpp') != 'rmw_fastrtps_cpp':
+        return f'transports of {os.environ["RMW_IMPLEMENTATION"]}'
+    try:
+        profile = config_file('fastdds.xml')
+    except InputError as error:
+        return f'transports of Fast DDS by default: {error}'
+    os.environ[PROFILE_VARIABLE] = str(profile)
+    return f'transports with large buffers from {profile}'
+
+
+def buffer_limit() -> int:
+    """Return the largest receive buffer the kernel grants, bytes; 0 where it does not say."""
+    try:
+        return int(BUFFER_LIMIT.read_text())
+    except (OSError, ValueError):
+        return 0

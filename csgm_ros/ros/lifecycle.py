@@ -1,0 +1,63 @@
+"""A lifecycle node that no client and no exception can end."""
+
+from __future__ import annotations
+
+import functools
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.node import Node
+
+
+def guarded(callback: Callable, node: Node, fallback: Any = None) -> Callable:
+    """Return ``callback`` so wrapped that an exception is logged with its traceback and ``fallback`` returned.
+
+    rclpy lets an exception of any callback leave ``spin()``, which would end the node.
+    """
+
+    @functools.wraps(callback)
+    def call(*args, **kwargs):
+        try:
+            return callback(*args, **kwargs)
+        except Exception:
+            node.get_logger().error(f'{callback.__name__} failed:\n{traceback.format_exc()}')
+            return fallback() if callable(fallback) else fallback
+
+    return call
+
+
+class SafeLifecycleNode(LifecycleNode):
+    """LifecycleNode that answers an illegal transition with a failure instead of dying of it.
+
+    rclpy 7.1 raises RCLError out of ``spin()`` when, say, an unconfigured node is activated, and swallows
+    exceptions of the transition callbacks without a word.
+    """
+
+    def _LifecycleNodeMixin__change_state(self, transition_id: int) -> TransitionCallbackReturn:  # noqa: N802
+        try:
+            return LifecycleNode._LifecycleNodeMixin__change_state(self, transition_id)
+        except RCLError as error:
+            state = self._state_machine.current_state[1]
+            self.get_logger().warning(f'transition {transition_id} is not possible while {state}: {error}')
+            return TransitionCallbackReturn.FAILURE
+
+    @property
+    def state(self) -> str:
+        """Label of the current lifecycle state, such as ``active``."""
+        return self._state_machine.current_state[1]
+
+
+def transition(on_exception: TransitionCallbackReturn) -> Callable:
+    """Decorate an ``on_*`` method: log an exception with its traceback and return ``on_exception``."""
+
+    def decorate(method: Callable) -> Callable:
+        @functools.wraps(method)
+        def call(self, state):
+            return guarded(method.__get__(self), self, on_exception)(state)
+
+        return call
+
+    return decorate

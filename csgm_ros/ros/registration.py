@@ -1,0 +1,179 @@
+"""One registration from messages to messages: decoded, registered, published, remembered for diagnostics."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+
+import csgm_ros
+from csgm_ros.accumulate import merge
+from csgm_ros.config import Config
+from csgm_ros.errors import Cancelled, CsgmError, InputError
+from csgm_ros.pointcloud2 import Cloud, decode
+from csgm_ros.ros.worker import Job, Worker
+from csgm_ros.types import RegistrationResult
+
+
+@dataclass(frozen=True)
+class Request:
+    """The newest messages of both inputs and the configuration at the time of the request."""
+
+    source: list[PointCloud2]
+    target: list[PointCloud2]
+    config: Config
+    seed: int
+    window_voxel: float
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """A result and the clouds it belongs to."""
+
+    result: RegistrationResult
+    source: Cloud
+    target: Cloud
+    decode_seconds: float
+
+
+class Registration:
+    """Runs requests in the worker and keeps what is to be said about them.
+
+    Attributes
+    ----------
+    accepted, rejected, failed : int
+        Registrations so far by their end.
+    last : dict
+        Facts about the last one, for diagnostics.
+    level, text : bytes, str
+        The same as a diagnostic level and one line.
+    """
+
+    def __init__(self, node: Node, publish: Callable[[Outcome], None]):
+        self._node, self._publish = node, publish
+        self._worker = Worker()
+        self.accepted = self.rejected = self.failed = 0
+        self.last: dict[str, Any] = {}
+        self.level, self.text = DiagnosticStatus.OK, 'no registration yet'
+
+    @property
+    def job(self) -> Job | None:
+        """The job that runs or waits."""
+        return self._worker.current
+
+    def submit(self, request: Request) -> Job:
+        """Queue a request in place of one that still waits."""
+        return self._worker.submit(lambda progress: run(request, progress), self._deliver)
+
+    def cancel(self, reason: str) -> bool:
+        """Cancel what runs and waits; False when nothing does."""
+        cancelled = self._worker.cancel(reason)
+        if cancelled:
+            self.level, self.text = DiagnosticStatus.WARN, f'cancelled: {reason}'
+            self._node.get_logger().info(self.text)
+        return cancelled
+
+    def stop(self, timeout: float) -> bool:
+        """End the worker; False when its thread is still inside a computation."""
+        return self._worker.stop(timeout)
+
+    def _deliver(self, job: Job) -> None:
+        if job.error is not None:
+            self._note_failure(job)
+            return
+        outcome: Outcome = job.result
+        try:
+            if outcome.result.accepted:
+                self._publish(outcome)
+        except Exception as error:
+            job.error = error
+            self._note_failure(job)
+            return
+        self._note(outcome)
+
+    def _note(self, outcome: Outcome) -> None:
+        result = outcome.result
+        self.accepted += result.accepted
+        self.rejected += not result.accepted
+        self.text = describe(result)
+        self.level = DiagnosticStatus.OK if result.accepted else DiagnosticStatus.WARN
+        self.last = facts(outcome)
+        log = self._node.get_logger()
+        if result.accepted:
+            log.info(self.text)
+        else:
+            log.warning(self.text)
+
+    def _note_failure(self, job: Job) -> None:
+        self.failed += 1
+        self.level, self.text = DiagnosticStatus.ERROR, explain(job.error)
+        self.last = {'verdict': 'failed', 'reason': self.text}
+        expected = isinstance(job.error, CsgmError)
+        detail = '' if expected else '\n' + ''.join(traceback.format_exception(job.error))
+        self._node.get_logger().error(self.text + detail)
+
+
+def run(request: Request, progress: Callable[[str, float], None]) -> Outcome:
+    """Decode, merge and register one request; ``progress`` raises to cancel."""
+    started = time.perf_counter()
+    progress('decode', 0.0)
+    source, target = (cloud_of(request, name) for name in ('source', 'target'))
+    decode_seconds = time.perf_counter() - started
+    result = csgm_ros.register(source.points, target.points, request.config, seed=request.seed, on_progress=progress)
+    return Outcome(result, source, target, decode_seconds)
+
+
+def cloud_of(request: Request, name: str) -> Cloud:
+    """Return the decoded and merged cloud of one input."""
+    try:
+        return merge([decode(message) for message in getattr(request, name)], request.window_voxel)
+    except InputError as error:
+        raise InputError(f'{name}: {error}') from None
+
+
+def describe(result: RegistrationResult) -> str:
+    """Return verdict, scale, fitness and seconds, or the reason, in one line."""
+    fitness = f'fitness {result.fitness_source:.2f}/{result.fitness_target:.2f}'
+    inliers = f'{int(result.match_inliers.sum())}/{len(result.matches)} matches agree'
+    if result.accepted:
+        return f'accepted: scale {result.scale:.6g}, {fitness}, {inliers}, {result.seconds:.2f} s'
+    return f'rejected: {result.reason} ({fitness}, {inliers}, {result.seconds:.2f} s)'
+
+
+def explain(error: BaseException) -> str:
+    """Return one line on why there is no result."""
+    if isinstance(error, Cancelled):
+        return f'cancelled: {error}'
+    if isinstance(error, CsgmError):
+        return f'failed: {error}'
+    return f'failed: internal error, {type(error).__name__}: {error}; the traceback is in the log'
+
+
+def facts(outcome: Outcome) -> dict[str, Any]:
+    """Return what diagnostics say of a result, keys in a fixed order."""
+    result = outcome.result
+    stamp = max(outcome.source.stamp, outcome.target.stamp)
+    return {
+        'verdict': 'accepted' if result.accepted else 'rejected',
+        'reason': result.reason,
+        'stamp': f'{stamp // 10**9}.{stamp % 10**9:09d}',
+        'frame': outcome.target.frame_id,
+        'scale': f'{result.scale:.9g}',
+        'fitness source': f'{result.fitness_source:.4f}',
+        'fitness target': f'{result.fitness_target:.4f}',
+        'inlier rmse': f'{result.verdict.inlier_rmse:.6g}',
+        'matches': f'{int(result.match_inliers.sum())}/{len(result.matches)}',
+        'source points': len(outcome.source.points),
+        'target points': len(outcome.target.points),
+        'dropped points': outcome.source.dropped + outcome.target.dropped,
+        'seed': result.seed,
+        'seconds': f'{result.seconds:.3f}',
+        'seconds decode': f'{outcome.decode_seconds:.3f}',
+        **{f'seconds {stage}': f'{seconds:.3f}' for stage, seconds in result.timings.items()},
+    }

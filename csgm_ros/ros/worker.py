@@ -1,0 +1,139 @@
+"""One thread that does one job at a time; a newer job replaces the one that waits."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from csgm_ros.errors import Cancelled
+
+
+class Job:
+    """One piece of work and, once ``done`` is set, its ``result`` or its ``error``.
+
+    Attributes
+    ----------
+    stage, fraction : str, float
+        Last progress that the work reported.
+    started : float or None
+        ``time.monotonic()`` of the start.
+    """
+
+    def __init__(self, work: Callable[[Callable], Any], deliver: Callable[[Job], None]):
+        self.work, self.deliver = work, deliver
+        self.done = threading.Event()
+        self.result: Any = None
+        self.error: BaseException | None = None
+        self.committed = False  # the outcome stands, a cancellation comes too late
+        self.stage, self.fraction = 'waiting', 0.0
+        self.started: float | None = None
+
+    @property
+    def cancelled(self) -> bool:
+        """True once somebody cancelled it, even while its thread is still on the way to noticing."""
+        return isinstance(self.error, Cancelled)
+
+    @property
+    def seconds(self) -> float:
+        """Seconds since it started."""
+        return 0.0 if self.started is None else time.monotonic() - self.started
+
+    def progress(self, stage: str, fraction: float) -> None:
+        """Note the progress; raise :class:`Cancelled` where the job was cancelled."""
+        if self.error is not None:
+            raise self.error
+        self.stage, self.fraction = stage, fraction
+
+
+class Worker:
+    """Run submitted jobs in one daemon thread.
+
+    ``deliver`` of a job is called in that thread, and only for a job that was not cancelled before its work
+    returned; who waits for ``done`` is woken after it.
+    """
+
+    def __init__(self):
+        self._condition = threading.Condition()
+        self._running: Job | None = None
+        self._queued: Job | None = None
+        self._stopped = False
+        self._thread = threading.Thread(target=self._loop, name='csgm_worker', daemon=True)
+        self._thread.start()
+
+    @property
+    def current(self) -> Job | None:
+        """The job that runs or waits, None when a new one would start at once."""
+        with self._condition:
+            for job in (self._running, self._queued):
+                if job is not None and not job.done.is_set():
+                    return job
+            return None
+
+    def submit(self, work: Callable[[Callable], Any], deliver: Callable[[Job], None]) -> Job:
+        """Queue a job in place of one that still waits; that one ends as cancelled."""
+        job = Job(work, deliver)
+        with self._condition:
+            if self._stopped:
+                self._end(job, Cancelled('the worker has stopped'))
+                return job
+            if self._queued is not None:
+                self._end(self._queued, Cancelled('replaced by a newer pair of clouds'))
+            self._queued = job
+            self._condition.notify()
+        return job
+
+    def cancel(self, reason: str) -> bool:
+        """End the running and the waiting job at once; False when there was none.
+
+        The running work itself stops at its next progress call. A job submitted meanwhile waits for that.
+        """
+        with self._condition:
+            jobs = [job for job in (self._running, self._queued) if job is not None and not job.committed]
+            for job in jobs:
+                self._end(job, Cancelled(reason))
+            self._queued = None
+            return bool(jobs)
+
+    def stop(self, timeout: float) -> bool:
+        """Cancel everything and end the thread; True when it ended within ``timeout`` seconds."""
+        self.cancel('the node stops')
+        with self._condition:
+            self._stopped = True
+            self._condition.notify()
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    @staticmethod
+    def _end(job: Job, error: BaseException) -> None:
+        job.error, job.committed = error, True
+        job.done.set()
+
+    def _loop(self) -> None:
+        while (job := self._next()) is not None:
+            result, error = None, None
+            try:
+                result = job.work(job.progress)
+            except BaseException as raised:  # whoever waits for the job is told; the thread lives on
+                error = raised
+            with self._condition:
+                fresh = not job.committed
+                if fresh:
+                    job.result, job.error, job.committed = result, error, True
+            try:
+                if fresh:
+                    job.deliver(job)
+            finally:
+                job.done.set()
+                with self._condition:
+                    self._running = None
+
+    def _next(self) -> Job | None:
+        with self._condition:
+            self._condition.wait_for(lambda: self._queued is not None or self._stopped)
+            if self._stopped:
+                return None
+            self._running, self._queued = self._queued, None
+            self._running.started = time.monotonic()
+            return self._running
