@@ -8,6 +8,8 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from csgm_ros.errors import ConfigError
+
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 POLICIES = {'reliability': ReliabilityPolicy, 'durability': DurabilityPolicy, 'history': HistoryPolicy}
 DEFAULTS = {'reliability': 'best_available', 'durability': 'best_available', 'history': 'keep_last', 'depth': 1}
@@ -20,7 +22,7 @@ def declare_overrides(node: Node, topic: str) -> dict:
 
     Raises
     ------
-    ValueError
+    ConfigError
         For a value that is no policy; the message names the parameter and the choices.
     """
     values = {}
@@ -31,7 +33,7 @@ def declare_overrides(node: Node, topic: str) -> dict:
         if policy in POLICIES:
             choices = [member.name.lower() for member in POLICIES[policy] if member.name.lower() != 'unknown']
             if value not in choices:
-                raise ValueError(f'{name} must be one of {", ".join(choices)}, not {value!r}')
+                raise ConfigError(f'{name} must be one of {", ".join(choices)}, not {value!r}')
             value = POLICIES[policy][value.upper()]
         values[policy] = value
     return values

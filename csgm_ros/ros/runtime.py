@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import threading
+from typing import NoReturn
 
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
@@ -16,16 +16,16 @@ from csgm_ros.errors import ConfigError
 from csgm_ros.ros.dds import use_large_buffers
 
 THREADS = 6  # inputs, watch, transitions, and a waiting ~/register beside a second caller
-PATIENCE = 0.3  # seconds that each of the last steps may take
+PATIENCE = 0.2  # seconds that the worker and the executor may each take to stop
 
 
 def run_node(node_type: type, args: list[str] | None = None) -> int:
-    """Spin ``node_type()`` until SIGINT or SIGTERM; return the exit code."""
+    """Spin ``node_type()`` until SIGINT or SIGTERM; return 2 where it cannot start, else end the process with 0."""
     transports = use_large_buffers()
     rclpy.init(args=args)
     try:
         node = node_type()
-    except (InvalidParameterTypeException, InvalidParameterValueException, ConfigError, ValueError) as error:
+    except (InvalidParameterTypeException, InvalidParameterValueException, ConfigError) as error:
         get_logger('csgm').fatal(f'cannot start: {error}')
         rclpy.try_shutdown()
         return 2
@@ -37,21 +37,22 @@ def run_node(node_type: type, args: list[str] | None = None) -> int:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
-        finish(node, executor)
-    return 0
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+    leave(node, executor)
 
 
-def finish(node, executor) -> None:
-    """Take everything down; leave at once where a computation in C does not let its thread go."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
-    clean = node.stop(PATIENCE)
-    clean &= executor.shutdown(timeout_sec=PATIENCE)
-    if clean:
+def leave(node, executor) -> NoReturn:
+    """Take everything down that lets itself be taken down, and end the process.
+
+    Without the interpreter's own teardown: it waits for threads inside a computation, and with Open3D and numba
+    loaded it takes a second even when there is none.
+    """
+    idle = node.stop(PATIENCE)
+    idle &= executor.shutdown(timeout_sec=PATIENCE)
+    if idle:
         node.destroy_node()
     rclpy.try_shutdown()
-    clean &= not any(thread.name.startswith('ThreadPoolExecutor') and False for thread in threading.enumerate())
-    if not clean:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(0)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)
