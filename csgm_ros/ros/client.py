@@ -1,246 +1,86 @@
-"""Talk to a running node: lifecycle, trigger, parameters and status, for machines without the ``ros2`` command."""
+"""Talk to a running node by its services: ``csgm call``, for machines without the ``ros2`` command."""
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, field
-from typing import Any
+import argparse
+import sys
+from collections.abc import Callable
 
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
-from rclpy.parameter_client import AsyncParameterClient
-from std_srvs.srv import Trigger
+from csgm_ros.ros.connection import NODE, PATIENCE, Answer, Client, NoAnswerError, Status
 
-from csgm_ros.errors import CsgmError
+__all__ = ['Answer', 'Client', 'NoAnswerError', 'Status', 'call', 'main', 'status']
 
-NODE = 'csgm'
-PATIENCE = 30.0  # seconds; discovery alone may take three
-
-
-class NoAnswerError(CsgmError):
-    """The node is not there, or does not answer in time."""
+COMMANDS = {
+    'configure': 'check the parameters and compile the kernels',
+    'activate': 'listen to the clouds',
+    'deactivate': 'rest, and cancel a running registration',
+    'cleanup': 'back to unconfigured',
+    'shutdown': 'finalize the node',
+    'register': 'register the newest pair and wait for the verdict',
+    'cancel': 'cancel the running registration',
+    'status': 'state, verdict and how the inputs do',
+}
+FAILED, NO_ANSWER = 1, 2
 
 
-@dataclass(frozen=True)
-class Answer:
-    """What the node said: ``success``, and one line for a person."""
+def call(command: str, node: str = NODE, timeout: float = PATIENCE) -> Answer:
+    """Do one command of :data:`COMMANDS` but ``status``, over a connection of its own.
 
-    success: bool
-    message: str
-
-
-@dataclass(frozen=True)
-class Status:
-    """What the node says of itself.
-
-    Attributes
-    ----------
-    state : str
-        Lifecycle state.
-    message : str
-        One line on the registration.
-    values : dict of str to dict of str to str
-        Diagnostics: the facts under ``registration``, ``source`` and ``target``.
+    Raises
+    ------
+    NoAnswerError
+        When there is no such node, or it does not answer in time.
     """
-
-    state: str
-    message: str
-    values: dict[str, dict[str, str]] = field(default_factory=dict)
+    with Client(node, timeout) as client:
+        return getattr(client, command)()
 
 
-class Client:
-    """A connection to one node; use as a context manager, from one thread.
+def _command(name: str) -> Callable[..., Answer]:
+    def command(node: str = NODE, timeout: float = PATIENCE) -> Answer:
+        return call(name, node, timeout)
 
-    Parameters
-    ----------
-    node : str
-        Name of the node, with its namespace if it has one: ``csgm``, ``/robot/csgm``.
-    timeout : float
-        Seconds to wait for the node to be there and to answer; configuring and registering may take longer.
-    """
-
-    def __init__(self, node: str = NODE, timeout: float = PATIENCE):
-        self.node_name = node if node.startswith('/') else f'/{node}'
-        self.timeout = timeout
-
-    def __enter__(self) -> Client:
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context)
-        self._node = rclpy.create_node('csgm_client', context=self._context, start_parameter_services=False)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._clients: dict[str, Any] = {}
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._executor.shutdown()
-        self._node.destroy_node()
-        self._context.try_shutdown()
-
-    def configure(self, timeout: float = 300.0) -> Answer:
-        """Configure the node; compiling its kernels for the first time may take a minute."""
-        return self._change(Transition.TRANSITION_CONFIGURE, 'configured', timeout)
-
-    def activate(self) -> Answer:
-        """Let the node listen."""
-        return self._change(Transition.TRANSITION_ACTIVATE, 'active')
-
-    def deactivate(self) -> Answer:
-        """Let the node rest; a running registration is cancelled."""
-        return self._change(Transition.TRANSITION_DEACTIVATE, 'inactive')
-
-    def cleanup(self) -> Answer:
-        """Take the node back to unconfigured."""
-        return self._change(Transition.TRANSITION_CLEANUP, 'unconfigured')
-
-    def shutdown(self) -> Answer:
-        """Finalize the node from whatever state it is in; its process lives until it is told to end."""
-        transitions = {
-            'unconfigured': Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
-            'inactive': Transition.TRANSITION_INACTIVE_SHUTDOWN,
-            'active': Transition.TRANSITION_ACTIVE_SHUTDOWN,
-        }
-        state = self.state()
-        if state not in transitions:
-            return Answer(False, f'the node is {state}')
-        return self._change(transitions[state], 'finalized')
-
-    def register(self, timeout: float = 600.0) -> Answer:
-        """Register the newest pair and wait for the verdict."""
-        return self._trigger('register', timeout)
-
-    def cancel(self) -> Answer:
-        """Cancel the running registration."""
-        return self._trigger('cancel', self.timeout)
-
-    def state(self) -> str:
-        """Return the lifecycle state."""
-        return self._call(GetState, 'get_state', GetState.Request(), self.timeout).current_state.label
-
-    def transitions(self) -> list[str]:
-        """Return the transitions that are possible now."""
-        request = GetAvailableTransitions.Request()
-        found = self._call(GetAvailableTransitions, 'get_available_transitions', request, self.timeout)
-        return [each.transition.label for each in found.available_transitions]
-
-    def status(self) -> Status:
-        """Return state and diagnostics, as the node says them once a second."""
-        state, heard = self.state(), []
-        prefix = self.node_name[1:].replace('/', '.') + ': '
-
-        def receive(message: DiagnosticArray) -> None:
-            heard.extend(status for status in message.status if status.name.startswith(prefix))
-
-        subscription = self._node.create_subscription(DiagnosticArray, '/diagnostics', receive, 10)
-        self._spin_until(lambda: heard, self.timeout, f'{self.node_name} says nothing on /diagnostics')
-        self._node.destroy_subscription(subscription)
-        values = {each.name[len(prefix) :]: {pair.key: pair.value for pair in each.values} for each in heard}
-        for each in heard:
-            values[each.name[len(prefix) :]]['message'] = each.message
-        return Status(state, values['registration']['message'], values)
-
-    def set_parameters(self, values: dict[str, Any]) -> Answer:
-        """Set parameters as a whole: all of them or, with the reason, none."""
-        client = self._parameter_client()
-        future = client.set_parameters_atomically([Parameter(name, value=value) for name, value in values.items()])
-        result = self._result(future, self.timeout, 'set_parameters_atomically').result
-        return Answer(result.successful, result.reason or 'set')
-
-    def get_parameters(self, names: list[str]) -> dict[str, Any]:
-        """Return the values of parameters."""
-        future = self._parameter_client().get_parameters(names)
-        values = self._result(future, self.timeout, 'get_parameters').values
-        found = [rclpy.parameter.parameter_value_to_python(value) for value in values]
-        return dict(zip(names, found, strict=True))
-
-    def _parameter_client(self) -> AsyncParameterClient:
-        client = self._clients.setdefault('parameters', AsyncParameterClient(self._node, self.node_name))
-        if not client.wait_for_services(self.timeout):
-            raise NoAnswerError(self._absent())
-        return client
-
-    def _change(self, transition: int, goal: str, timeout: float | None = None) -> Answer:
-        request = ChangeState.Request(transition=Transition(id=transition))
-        answer = self._call(ChangeState, 'change_state', request, timeout or self.timeout)
-        if answer.success:
-            return Answer(True, goal)
-        return Answer(False, f'refused while {self.state()}; possible: {", ".join(self.transitions())}')
-
-    def _trigger(self, service: str, timeout: float) -> Answer:
-        answer = self._call(Trigger, service, Trigger.Request(), timeout)
-        return Answer(answer.success, answer.message)
-
-    def _call(self, kind: type, service: str, request: Any, timeout: float) -> Any:
-        if service not in self._clients:
-            self._clients[service] = self._node.create_client(kind, f'{self.node_name}/{service}')
-        client = self._clients[service]
-        if not client.wait_for_service(self.timeout):
-            raise NoAnswerError(self._absent())
-        return self._result(client.call_async(request), timeout, service)
-
-    def _absent(self) -> str:
-        others = sorted(f'{space.rstrip("/")}/{name}' for name, space in self._node.get_node_names_and_namespaces())
-        return f'no node {self.node_name} in this ROS domain within {self.timeout:g} s; there are {", ".join(others)}'
-
-    def _result(self, future: rclpy.Future, timeout: float, service: str) -> Any:
-        self._spin_until(future.done, timeout, f'{self.node_name} did not answer {service} within {timeout:g} s')
-        return future.result()
-
-    def _spin_until(self, condition: Any, timeout: float, complaint: str) -> None:
-        end = time.monotonic() + timeout
-        while not condition():
-            if (left := end - time.monotonic()) <= 0:
-                raise NoAnswerError(complaint)
-            self._executor.spin_once(timeout_sec=min(left, 0.1))
+    command.__name__ = command.__qualname__ = name
+    command.__doc__ = f'Ask the node: {COMMANDS[name]}.'
+    return command
 
 
-def configure(node: str = NODE) -> Answer:
-    """Configure the node of that name."""
-    with Client(node) as client:
-        return client.configure()
+configure, activate, deactivate, cleanup, shutdown, register, cancel = map(_command, list(COMMANDS)[:-1])
 
 
-def activate(node: str = NODE) -> Answer:
-    """Activate the node of that name."""
-    with Client(node) as client:
-        return client.activate()
-
-
-def deactivate(node: str = NODE) -> Answer:
-    """Deactivate the node of that name."""
-    with Client(node) as client:
-        return client.deactivate()
-
-
-def cleanup(node: str = NODE) -> Answer:
-    """Take the node of that name back to unconfigured."""
-    with Client(node) as client:
-        return client.cleanup()
-
-
-def shutdown(node: str = NODE) -> Answer:
-    """Finalize the node of that name."""
-    with Client(node) as client:
-        return client.shutdown()
-
-
-def register(node: str = NODE) -> Answer:
-    """Register the newest pair; wait for the verdict."""
-    with Client(node) as client:
-        return client.register()
-
-
-def cancel(node: str = NODE) -> Answer:
-    """Cancel the running registration."""
-    with Client(node) as client:
-        return client.cancel()
-
-
-def status(node: str = NODE) -> Status:
-    """Return state and diagnostics of the node of that name."""
-    with Client(node) as client:
+def status(node: str = NODE, timeout: float = PATIENCE) -> Status:
+    """Return state and diagnostics of a node."""
+    with Client(node, timeout) as client:
         return client.status()
+
+
+def status_text(found: Status) -> str:
+    """Return a status for people, one fact a line."""
+    lines = [f'state: {found.state}', found.message]
+    for part, values in found.values.items():
+        lines += [f'{part}:'] + [f'  {name}: {value}' for name, value in values.items() if value and name != 'state']
+    return '\n'.join(lines)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run ``csgm call``; return 0, 1 where the node says no, 2 where it does not answer."""
+    parser = argparse.ArgumentParser(prog='csgm call', description='Call the live node.')
+    commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
+    for name, text in COMMANDS.items():
+        command = commands.add_parser(name, help=text, description=text)
+        command.add_argument('--node', default=NODE, help='name of the node, with its namespace; default: csgm')
+        command.add_argument('--timeout', type=float, default=PATIENCE, metavar='S', help='seconds to wait for it')
+    options = parser.parse_args(arguments)
+    try:
+        if options.command == 'status':
+            print(status_text(status(options.node, options.timeout)))
+            return 0
+        answer = call(options.command, options.node, options.timeout)
+    except NoAnswerError as error:
+        print(f'csgm: {error}', file=sys.stderr)
+        return NO_ANSWER
+    print(answer.message)
+    return 0 if answer.success else FAILED
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -39,7 +39,7 @@ def run_node(node_type: type, args: list[str] | None = None) -> int:
     finally:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
-    leave(node, executor)
+    return leave(node, executor)
 
 
 def leave(node, executor) -> NoReturn:

@@ -1,0 +1,198 @@
+"""A connection to a running node: its lifecycle, trigger, parameters and diagnostics."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from std_srvs.srv import Trigger
+
+from csgm_ros.errors import CsgmError
+
+NODE = 'csgm'
+PATIENCE = 30.0  # seconds; discovery alone may take three
+
+
+class NoAnswerError(CsgmError):
+    """The node is not there, or does not answer in time."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the node said: ``success``, and one line for a person."""
+
+    success: bool
+    message: str
+
+
+@dataclass(frozen=True)
+class Status:
+    """What the node says of itself.
+
+    Attributes
+    ----------
+    state : str
+        Lifecycle state.
+    message : str
+        One line on the registration.
+    values : dict of str to dict of str to str
+        Diagnostics: the facts under ``registration``, ``source`` and ``target``.
+    """
+
+    state: str
+    message: str
+    values: dict[str, dict[str, str]] = field(default_factory=dict)
+
+
+class Client:
+    """A connection to one node; use as a context manager, from one thread.
+
+    Parameters
+    ----------
+    node : str
+        Name of the node, with its namespace if it has one: ``csgm``, ``/robot/csgm``.
+    timeout : float
+        Seconds to wait for the node to be there and to answer; configuring and registering may take longer.
+    """
+
+    def __init__(self, node: str = NODE, timeout: float = PATIENCE):
+        self.node_name = node if node.startswith('/') else f'/{node}'
+        self.timeout = timeout
+
+    def __enter__(self) -> Client:
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self._node = rclpy.create_node('csgm_client', context=self._context, start_parameter_services=False)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._clients: dict[str, Any] = {}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def configure(self, timeout: float = 300.0) -> Answer:
+        """Configure the node; compiling its kernels for the first time may take a minute."""
+        return self._change(Transition.TRANSITION_CONFIGURE, 'configured', timeout)
+
+    def activate(self) -> Answer:
+        """Let the node listen."""
+        return self._change(Transition.TRANSITION_ACTIVATE, 'active')
+
+    def deactivate(self) -> Answer:
+        """Let the node rest; a running registration is cancelled."""
+        return self._change(Transition.TRANSITION_DEACTIVATE, 'inactive')
+
+    def cleanup(self) -> Answer:
+        """Take the node back to unconfigured."""
+        return self._change(Transition.TRANSITION_CLEANUP, 'unconfigured')
+
+    def shutdown(self) -> Answer:
+        """Finalize the node from whatever state it is in; its process lives until it is told to end."""
+        transitions = {
+            'unconfigured': Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
+            'inactive': Transition.TRANSITION_INACTIVE_SHUTDOWN,
+            'active': Transition.TRANSITION_ACTIVE_SHUTDOWN,
+        }
+        state = self.state()
+        if state not in transitions:
+            return Answer(False, f'the node is {state}')
+        return self._change(transitions[state], 'finalized')
+
+    def register(self, timeout: float = 600.0) -> Answer:
+        """Register the newest pair and wait for the verdict."""
+        return self._trigger('register', timeout)
+
+    def cancel(self) -> Answer:
+        """Cancel the running registration."""
+        return self._trigger('cancel', self.timeout)
+
+    def state(self) -> str:
+        """Return the lifecycle state."""
+        return self._call(GetState, 'get_state', GetState.Request(), self.timeout).current_state.label
+
+    def transitions(self) -> list[str]:
+        """Return the transitions that are possible now."""
+        request = GetAvailableTransitions.Request()
+        found = self._call(GetAvailableTransitions, 'get_available_transitions', request, self.timeout)
+        return [each.transition.label for each in found.available_transitions]
+
+    def status(self) -> Status:
+        """Return state and diagnostics, as the node says them once a second."""
+        state, heard = self.state(), []
+        prefix = self.node_name[1:].replace('/', '.') + ': '
+
+        def receive(message: DiagnosticArray) -> None:
+            heard.extend(status for status in message.status if status.name.startswith(prefix))
+
+        subscription = self._node.create_subscription(DiagnosticArray, '/diagnostics', receive, 10)
+        self._spin_until(lambda: heard, self.timeout, f'{self.node_name} says nothing on /diagnostics')
+        self._node.destroy_subscription(subscription)
+        values = {each.name[len(prefix) :]: {pair.key: pair.value for pair in each.values} for each in heard}
+        for each in heard:
+            values[each.name[len(prefix) :]]['message'] = each.message
+        return Status(state, values['registration']['message'], values)
+
+    def set_parameters(self, values: dict[str, Any]) -> Answer:
+        """Set parameters as a whole: all of them or, with the reason, none."""
+        client = self._parameter_client()
+        future = client.set_parameters_atomically([Parameter(name, value=value) for name, value in values.items()])
+        result = self._result(future, self.timeout, 'set_parameters_atomically').result
+        return Answer(result.successful, result.reason or 'set')
+
+    def get_parameters(self, names: list[str]) -> dict[str, Any]:
+        """Return the values of parameters."""
+        future = self._parameter_client().get_parameters(names)
+        values = self._result(future, self.timeout, 'get_parameters').values
+        found = [rclpy.parameter.parameter_value_to_python(value) for value in values]
+        return dict(zip(names, found, strict=True))
+
+    def _parameter_client(self) -> AsyncParameterClient:
+        client = self._clients.setdefault('parameters', AsyncParameterClient(self._node, self.node_name))
+        if not client.wait_for_services(self.timeout):
+            raise NoAnswerError(self._absent())
+        return client
+
+    def _change(self, transition: int, goal: str, timeout: float | None = None) -> Answer:
+        request = ChangeState.Request(transition=Transition(id=transition))
+        answer = self._call(ChangeState, 'change_state', request, timeout or self.timeout)
+        if answer.success:
+            return Answer(True, goal)
+        return Answer(False, f'refused while {self.state()}; possible: {", ".join(self.transitions())}')
+
+    def _trigger(self, service: str, timeout: float) -> Answer:
+        answer = self._call(Trigger, service, Trigger.Request(), timeout)
+        return Answer(answer.success, answer.message)
+
+    def _call(self, kind: type, service: str, request: Any, timeout: float) -> Any:
+        if service not in self._clients:
+            self._clients[service] = self._node.create_client(kind, f'{self.node_name}/{service}')
+        client = self._clients[service]
+        if not client.wait_for_service(self.timeout):
+            raise NoAnswerError(self._absent())
+        return self._result(client.call_async(request), timeout, service)
+
+    def _absent(self) -> str:
+        others = sorted(f'{space.rstrip("/")}/{name}' for name, space in self._node.get_node_names_and_namespaces())
+        return f'no node {self.node_name} in this ROS domain within {self.timeout:g} s; there are {", ".join(others)}'
+
+    def _result(self, future: rclpy.Future, timeout: float, service: str) -> Any:
+        self._spin_until(future.done, timeout, f'{self.node_name} did not answer {service} within {timeout:g} s')
+        return future.result()
+
+    def _spin_until(self, condition: Any, timeout: float, complaint: str) -> None:
+        end = time.monotonic() + timeout
+        while not condition():
+            if (left := end - time.monotonic()) <= 0:
+                raise NoAnswerError(complaint)
+            self._executor.spin_once(timeout_sec=min(left, 0.1))
