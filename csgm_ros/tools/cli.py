@@ -147,8 +147,10 @@ def _clouds(options):
             raise InputError('--bag replaces SOURCE and TARGET; give either')
         from csgm_ros.tools import bags
 
-        pair = bags.read_pair(options.bag, options.source_topic, options.target_topic)
-        return tuple(files.CloudFile(points) for points in pair)
+        pair = bags.read_clouds(options.bag, options.source_topic, options.target_topic)
+        return tuple(
+            files.CloudFile(cloud.points, None if cloud.colors is None else cloud.colors / 255) for cloud in pair
+        )
     if not (options.source and options.target):
         raise InputError('register needs SOURCE and TARGET, or --bag; see csgm register --help')
     return files.read_cloud(options.source), files.read_cloud(options.target)
@@ -157,7 +159,11 @@ def _clouds(options):
 def _demo(options) -> int:
     from csgm_ros.tools import demo
 
-    return demo.run(options.source, options.target, options.output, options.seed)
+    try:
+        return demo.run(options.source, options.target, options.output, options.seed)
+    except demo.DemoError as error:
+        print(f'csgm: {error}', file=sys.stderr)
+        return demo.FAILED
 
 
 def _inspect(options) -> int:
@@ -187,8 +193,9 @@ def _simulate(options) -> int:
 def _record_demo(options) -> int:
     from csgm_ros.tools import bags, simulation
 
-    pair = simulation.simulate(options.seed)
-    bags.record_pair(options.bag, pair)
+    made = simulation.simulate(options.seed)
+    bags.write_clouds(options.bag, simulation.recording(made), latched=('/source',))
+    print(f'{options.bag}: /source (SfM, latched) and /target (Kinect); play it with csgm replay {options.bag}')
     return 0
 
 

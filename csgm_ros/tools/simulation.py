@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from csgm_ros.errors import InputError
+from csgm_ros.pointcloud2 import Cloud
 from csgm_ros.tools.files import write_cloud
 from csgm_ros.tools.scene import Hits, Room
 from csgm_ros.types import Similarity
@@ -87,6 +88,19 @@ def write_pair(folder: str | Path, seed: int = 0) -> None:
     write_cloud(folder / 'kinect.ply', pair.target[seen], pair.target_colors[seen])
     write_cloud(folder / 'sfm.ply', pair.source, pair.source_colors)
     (folder / 'truth.json').write_text(json.dumps({'T_target_source': pair.truth.matrix.tolist()}, indent=2) + '\n')
+
+
+def recording(pair: SimulatedPair, frames: int = 10) -> list[tuple[str, Cloud]]:
+    """Return the pair as stamped messages: the map once on /source, then the frame on /target at 10 Hz."""
+
+    def message(points: np.ndarray, colors: np.ndarray, frame_id: str, seconds: float) -> Cloud:
+        return Cloud(points, (255 * colors).round().astype(np.uint8), frame_id, int(1e9 * seconds))
+
+    sfm = message(pair.source, pair.source_colors, 'sfm', 1.0)
+    kinect = [
+        message(pair.target, pair.target_colors, 'camera_depth_optical_frame', 1.0 + i / 10) for i in range(frames)
+    ]
+    return [('/source', sfm), *(('/target', frame) for frame in kinect)]
 
 
 def kinect_frame(
