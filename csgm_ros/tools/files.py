@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -58,7 +59,7 @@ def read_cloud(path: str | Path) -> CloudFile:
         if suffix in ('.ply', '.pcd'):
             cloud = _read_with_open3d(path)
         elif suffix == '.xyz':
-            cloud = CloudFile(np.loadtxt(path, usecols=(0, 1, 2), ndmin=2))
+            cloud = CloudFile(_text_points(path))
         else:
             cloud = CloudFile(_numpy_points(path))
     except InputError:
@@ -125,6 +126,12 @@ def _write_with_open3d(path: Path, points: np.ndarray, colors: np.ndarray | None
         cloud.colors = open3d.utility.Vector3dVector(np.asarray(colors, float))
     if not open3d.io.write_point_cloud(str(path), cloud):
         raise OSError('the disk is full, or the folder is not yours')
+
+
+def _text_points(path: Path) -> np.ndarray:
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')  # of an empty file, which is refused further on
+        return np.loadtxt(path, usecols=(0, 1, 2), ndmin=2)
 
 
 def _numpy_points(path: Path) -> np.ndarray:
