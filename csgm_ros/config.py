@@ -183,22 +183,36 @@ class HypothesesConfig(Checked):
 class VerificationConfig(Checked):
     """Which hypothesis is right, and is it right at all."""
 
-    samples: int = param(150, 'points of either side for the coarse score', low=20, high=100000)
-    coarse_distance: float = param(0.05, 'gate of the coarse score', unit=RADIUS, low=0.005, high=0.5)
-    refined: int = param(30, 'best different hypotheses that get a short ICP', low=1, high=10000)
+    coarse_samples: int = param(150, 'points of either side for the coarse score', low=20, high=100000)
+    coarse_distance: float = param(
+        0.08, 'distance at which a point counts nothing in the coarse score', unit=RADIUS, low=0.005, high=0.12
+    )
+    refined: int = param(60, 'best different hypotheses that get a short ICP', low=1, high=10000)
+    samples: int = param(700, 'points of either side in the short ICP and its score', low=20, high=1000000)
+    gates: tuple[float, ...] = param((0.12, 0.08, 0.05), 'gates of the short ICP', unit=RADIUS, low=0.001, high=0.12)
+    score_distance: float = param(
+        0.04, 'distance at which a point counts nothing after the short ICP', unit=RADIUS, low=0.001, high=0.12
+    )
+    finalists: int = param(6, 'best different hypotheses that are measured on the fine clouds', low=1, high=100)
     distinct: float = param(
-        0.1, 'RMS displacement from which two transforms count as different', unit=RADIUS, low=0.01, high=1.0
+        0.1, 'RMS displacement below which two hypotheses are the same', unit=RADIUS, low=0.01, high=1.0
     )
-    gates: tuple[float, ...] = param((0.1, 0.06, 0.04), 'gates of the short ICP', unit=RADIUS, low=0.001, high=0.12)
+    fine_voxel_size: float = param(0.012, 'voxel grid of the fine clouds', unit=RADIUS, low=0.001, high=0.2)
+    fine_samples: int = param(
+        4000, 'points of either side that are measured on the fine clouds', low=100, high=10000000
+    )
     inlier_distance: float = param(
-        0.03, 'a point lies on the other cloud when this close', unit=RADIUS, low=0.001, high=0.12
+        0.02, 'a point lies on the other cloud when it is this close', unit=RADIUS, low=0.001, high=0.12
     )
-    max_normal_angle: float = param(40.0, 'and when the normals differ by no more', unit='degree', low=1.0, high=90.0)
+    max_normal_angle: float = param(40.0, 'and its normal differs by no more', unit='degree', low=1.0, high=90.0)
+    different: float = param(
+        0.2, 'RMS displacement from which another hypothesis makes a result ambiguous', unit=RADIUS, low=0.01, high=10.0
+    )
     min_fitness: float = param(
         0.15, 'smaller fitness of the two sides below which a result is rejected', low=0.0, high=1.0
     )
     min_margin: float = param(
-        1.1, 'fitness over that of the best different hypothesis below which a result is ambiguous', low=1.0, high=100.0
+        1.1, 'score over that of the best different hypothesis below which a result is rejected', low=1.0, high=100.0
     )
 
 

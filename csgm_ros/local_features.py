@@ -31,3 +31,10 @@ def partners(source_features: np.ndarray, target_features: np.ndarray, count: in
     _, nearest = cKDTree(target_features).query(source_features, k=count)
     rows = np.repeat(np.arange(len(source_features)), count)
     return np.column_stack([rows, np.reshape(nearest, -1)])
+
+
+def partners_both_ways(source_features: np.ndarray, target_features: np.ndarray, count: int) -> np.ndarray:
+    """Return the pairs in which one feature is among the ``count`` nearest of the other, (k, 2) index pairs."""
+    forth = partners(source_features, target_features, count)
+    back = partners(target_features, source_features, count)
+    return np.unique(np.concatenate([forth, back[:, ::-1]]), axis=0)

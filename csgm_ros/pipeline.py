@@ -7,10 +7,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from csgm_ros import hypotheses, icp, local_features, nearest, preprocess, verification
+from csgm_ros import hypotheses, icp, local_features, preprocess
+from csgm_ros import search as transform_search
 from csgm_ros.config import Config, profile
 from csgm_ros.scale import normalization
-from csgm_ros.types import PreparedCloud, RegistrationResult, Similarity, Verdict
+from csgm_ros.structure import Structure, extract
+from csgm_ros.types import RegistrationResult, Similarity
+from csgm_ros.voxels import voxel_means
 
 Progress = Callable[[str, float], None]
 
@@ -50,100 +53,104 @@ def register(
     """
     config = config or profile()
     rng = np.random.default_rng(seed)
-    clock = _Clock(on_progress)
-    clock.enter('prepare', 0.0)
-    clouds = [preprocess.finite_points(cloud, name) for cloud, name in ((source, 'source'), (target, 'target'))]
-    source_cloud, target_cloud = (_prepared(cloud, config) for cloud in clouds)
-    clock.enter('hypotheses', 0.2)
-    candidates = _local_hypotheses(source_cloud, target_cloud, config, rng)
-    clock.enter('verification', 0.5)
-    best, verdict = _verify(candidates, source_cloud, target_cloud, config, rng)
-    clock.enter('icp', 0.8)
-    best = _final_icp(clouds, best, target_cloud, config)
+    clock = Clock(on_progress, config.time_budget)
+
+    clock.enter('normalization', 0.0)
+    clouds = preprocess.finite_points(source, 'source'), preprocess.finite_points(target, 'target')
+    normalizations = normalization(clouds[0]), normalization(clouds[1])
+    clock.enter('structure', 0.05)
+    structures = [extract(points, n, config) for points, n in zip(clouds, normalizations, strict=True)]
+    clock.enter('hypotheses', 0.4)
+    candidates = _hypotheses(*structures, config, rng)
+    clock.enter('search', 0.6)
+    surfaces = [structure.surface for structure in structures]
+    finalists = transform_search.search(
+        candidates, *surfaces, config, rng, lambda share: clock.tick(0.6 + 0.25 * share)
+    )
+    clock.enter('verdict', 0.85)
+    polish = _final_icp(clouds, normalizations, config)
+    best, verdict = transform_search.judge(finalists, clouds, normalizations, config, rng, polish)
     clock.enter('done', 1.0)
-    return RegistrationResult(best, verdict, clock.timings, seed, config)
+    own = normalizations[1].inverse() @ best @ normalizations[0]
+    return RegistrationResult(own, verdict, clock.timings, seed, config)
 
 
-class _Clock:
-    """Names the running stage to the caller and keeps the wall seconds of each."""
+class Clock:
+    """Names the running stage to the caller, keeps the wall seconds of each and the time budget."""
 
-    def __init__(self, on_progress: Progress | None):
+    def __init__(self, on_progress: Progress | None, time_budget: float):
         self.timings: dict[str, float] = {}
         self._on_progress = on_progress
         self._stage, self._since = '', time.perf_counter()
+        self._deadline = self._since + time_budget if time_budget > 0.0 else float('inf')
 
     def enter(self, stage: str, fraction: float) -> None:
+        """End the running stage and begin another."""
         now = time.perf_counter()
         if self._stage:
-            self.timings[self._stage] = self.timings.get(self._stage, 0.0) + now - self._since
+            self.timings[self._stage] = now - self._since
         self._stage, self._since = stage, now
+        self.tick(fraction)
+
+    def tick(self, fraction: float) -> bool:
+        """Report progress within a stage; False when the time budget is spent."""
         if self._on_progress:
-            self._on_progress(stage, fraction)
+            self._on_progress(self._stage, fraction)
+        return time.perf_counter() < self._deadline
 
 
-def _prepared(points: np.ndarray, config: Config) -> PreparedCloud:
-    part = config.preprocess
-    return preprocess.prepare(points, normalization(points), part.voxel_size, part.normal_neighbors)
-
-
-def _local_hypotheses(source: PreparedCloud, target: PreparedCloud, config: Config, rng) -> np.ndarray:
-    part, found = config.hypotheses, []
-    chosen = rng.permutation(len(source.points))[: part.features]
-    target_features = local_features.fpfh(target, part.feature_radius)
+def _hypotheses(source: Structure, target: Structure, config: Config, rng: np.random.Generator) -> np.ndarray:
+    part = config.hypotheses
+    found = [np.empty((0, 4, 4))]
     for relative in part.relative_scales:
-        source_features = local_features.fpfh(source, part.feature_radius * relative)[chosen]
-        pairs = local_features.partners(source_features, target_features, part.partners)
-        i, a = chosen[pairs[:, 0]], pairs[:, 1]
-        matches = hypotheses.Correspondences(source.points[i], target.points[a], source.normals[i], target.normals[a])
-        found.append(
-            hypotheses.from_triples(
-                matches,
-                rng,
-                part.trials,
-                scale_range=(1 / relative / 1.3, 1 / relative * 1.3),
-                min_length=part.min_side,
-                side_tolerance=part.side_tolerance,
-                limit=part.limit,
+        if part.sources in ('graph', 'both'):
+            pairs = local_features.partners_both_ways(source.described(relative), target.described(1.0), part.partners)
+            found.append(_triples(source.nodes, target.nodes, pairs, relative, config, rng))
+        if part.sources in ('local', 'both'):
+            chosen = rng.permutation(len(source.surface.points))[: part.features]
+            features = local_features.fpfh(source.surface, part.feature_radius * relative)[chosen]
+            pairs = local_features.partners(
+                features, local_features.fpfh(target.surface, part.feature_radius), part.partners
             )
-        )
+            pairs[:, 0] = chosen[pairs[:, 0]]
+            found.append(_triples(source.surface, target.surface, pairs, relative, config, rng))
     return np.concatenate(found)
 
 
-def _verify(candidates, source: PreparedCloud, target: PreparedCloud, config: Config, rng):
-    part = config.verification
-    grids = [nearest.build(c.points, c.normals, 0.025, 0.12) for c in (source, target)]
-    samples = tuple(rng.permutation(len(c.points))[: part.samples] for c in (source, target))
-    min_cosine = float(np.cos(np.radians(part.max_normal_angle)))
-    scores = verification.both_coverages(candidates, *grids, part.coarse_distance, min_cosine, samples).min(1)
-    probe = source.points[samples[0]]
-    kept = verification.best_distinct(candidates, scores, probe, part.distinct, part.refined)
-    refined = verification.refine_all(candidates[kept], *grids, part.gates, min_cosine)
-    if len(refined) == 0:
-        return Similarity.identity(), Verdict(False, 'no hypothesis', 0.0, 0.0, float('inf'), 0.0)
-    fitness = verification.both_coverages(refined, *grids, part.inlier_distance, min_cosine)
-    smaller = fitness.min(1)
-    ranked = verification.best_distinct(refined, smaller, probe, part.distinct, 2)
-    best = ranked[0]
-    margin = float(smaller[best] / max(smaller[ranked[1]], 1e-9)) if len(ranked) > 1 else float('inf')
-    accepted = bool(smaller[best] >= part.min_fitness and margin >= part.min_margin)
-    reason = f'fitness {fitness[best, 0]:.2f} and {fitness[best, 1]:.2f}, margin {margin:.2f}'
-    own = target.normalization.inverse() @ Similarity.from_matrix(refined[best]) @ source.normalization
-    return own, Verdict(accepted, reason, float(fitness[best, 0]), float(fitness[best, 1]), 0.0, margin)
+def _triples(source, target, pairs, relative, config, rng):
+    part = config.hypotheses
+    i, a = pairs.T
+    matches = hypotheses.Correspondences(source.points[i], target.points[a], source.normals[i], target.normals[a])
+    return hypotheses.from_triples(
+        matches,
+        rng,
+        part.trials,
+        scale_range=(1 / relative / 1.3, 1 / relative * 1.3),
+        min_length=part.min_side,
+        side_tolerance=part.side_tolerance,
+        limit=part.limit,
+    )
 
 
-def _final_icp(clouds, start: Similarity, target: PreparedCloud, config: Config) -> Similarity:
-    part, radius = config.icp, 1.0 / target.normalization.scale
+def _final_icp(clouds, normalizations, config: Config):
+    part = config.icp
     thin = [
-        preprocess.voxel_means(clouds[0], part.voxel_size * radius / start.scale),
-        preprocess.voxel_means(clouds[1], part.voxel_size * radius),
+        voxel_means(normalization.apply(points), part.voxel_size)
+        for points, normalization in zip(clouds, normalizations, strict=True)
     ]
-    gates = tuple(gate * radius for gate in part.gates)
-    return icp.refine(*thin, start, gates, iterations=part.iterations, estimate_scale=config.scale.estimate_scale)
+
+    def polish(start: Similarity) -> Similarity:
+        return icp.refine(
+            *thin, start, part.gates, iterations=part.iterations, estimate_scale=config.scale.estimate_scale
+        )
+
+    return polish
 
 
 def warm_up() -> None:
     """Compile every kernel by registering a small synthetic cloud with itself (cached on disk afterwards)."""
     rng = np.random.default_rng(0)
-    points = rng.normal(size=(2000, 3)) * (3.0, 2.0, 1.0)
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    register(points * (3.0, 2.0, 1.0), points * (3.0, 2.0, 1.0))
+    points = rng.normal(size=(3000, 3))
+    points *= np.array((3.0, 2.0, 1.0)) / np.linalg.norm(points, axis=1, keepdims=True)
+    for name in ('robust', 'paper'):
+        register(points, points, profile(name))

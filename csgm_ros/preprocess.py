@@ -6,6 +6,7 @@ import numpy as np
 
 from csgm_ros.errors import DegenerateCloudError, InputError
 from csgm_ros.types import PreparedCloud, Similarity
+from csgm_ros.voxels import voxel_means
 
 MIN_POINTS = 50
 
@@ -34,16 +35,6 @@ def finite_points(points: np.ndarray, name: str = 'cloud') -> np.ndarray:
     if extents[1] <= 1e-10 * extents[2] or extents[2] <= 0.0:
         raise DegenerateCloudError(f'{name}: all points in one place or on one line; give a cloud of surfaces')
     return points
-
-
-def voxel_means(points: np.ndarray, voxel_size: float) -> np.ndarray:
-    """Return the mean point of every occupied voxel, (M, 3), in an order that the input's order does not change."""
-    keys = np.floor((points - points.min(0)) / voxel_size).astype(np.int64)
-    sides = keys.max(0) + 1
-    flat = (keys[:, 0] * sides[1] + keys[:, 1]) * sides[2] + keys[:, 2]
-    _, voxel, counts = np.unique(flat, return_inverse=True, return_counts=True)
-    means = np.stack([np.bincount(voxel, points[:, axis]) for axis in range(3)], axis=1)
-    return means / counts[:, None]
 
 
 def normals_of(points: np.ndarray, neighbors: int) -> np.ndarray:

@@ -69,6 +69,13 @@ def voxelize(points: np.ndarray, size: float, phase: float = PHASE) -> VoxelGrid
     return VoxelGrid(centroids, origin, size, keys, point_voxels, *_adjacency(keys))
 
 
+def voxel_means(points: np.ndarray, size: float) -> np.ndarray:
+    """Return the mean point of every occupied voxel, (v, 3), whatever the order of the (N, 3) points."""
+    origin = lattice_origin(points, size, PHASE)
+    keys, point_voxels = occupied(points, origin, size)
+    return origin + size * _centroids(points, origin, 1 / size, unpacked(keys), point_voxels)
+
+
 def lattice_origin(points: np.ndarray, size: float, phase: float = PHASE) -> np.ndarray:
     """Return the lower corner of a lattice of cells with edge ``size`` around (N, 3) points.
 
