@@ -56,7 +56,7 @@ def _ring(labels, centroids, axes, starts, neighbors, centers, center_axes, norm
         own, chosen, least = labels[v], labels[v], -1.0
         for e in range(starts[v], starts[v + 1]):
             label = labels[neighbors[e]]
-            if label < 0 or label == own or label == chosen:
+            if label < 0 or label in (own, chosen):
                 continue
             if least < 0:  # contested: only now is the distance to its own centre needed
                 least = np.inf
