@@ -7,7 +7,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks import harness, meshes
+from benchmarks import harness, meshes, tables
 from benchmarks.datasets import database_c_pair
 
 METHODS = ('csgm', 'fgr+sicp', 'ransac+sicp', 'ransac-scale+sicp', 'kiss+sicp', 'teaser+sicp')
@@ -41,7 +41,7 @@ def main() -> None:
         for name in names
     ]
     rows = harness.run_all('database_c', cases[: options.pairs or None], options)
-    harness.report('database_c', 'Database C', summary(rows, options.seeds), options)
+    tables.report('database_c', 'Database C', summary(rows, options.seeds), options.results)
 
 
 def _maker(name: str, seed: int):
@@ -51,11 +51,11 @@ def _maker(name: str, seed: int):
 def summary(rows: list[harness.Row], seeds: list[int]) -> str:
     """Return the tables: all pairs, and per kind of mesh where there are several."""
     used = list(dict.fromkeys(str(row['pair']).rpartition('-')[0] for row in rows))
-    parts = [f'Meshes: {", ".join(used)}; seeds {", ".join(map(str, seeds))}.', harness.method_table(rows)]
-    groups = harness.grouped(rows, 'setting')
+    parts = [f'Meshes: {", ".join(used)}; seeds {", ".join(map(str, seeds))}.', tables.method_table(rows)]
+    groups = tables.grouped(rows, 'setting')
     if len(groups) > 1:
         for setting, runs in groups.items():
-            parts += [f'Only the {setting} meshes:', harness.method_table(runs)]
+            parts += [f'Only the {setting} meshes:', tables.method_table(runs)]
     ours = [row for row in rows if row['method'] == 'csgm' and not int(row['right_tight'])]
     missed = ', '.join(f'{row["pair"]} (RMSE/r {float(row["rmse"]):.3f})' for row in ours)
     parts.append(f'Pairs that `csgm` does not solve within 0.02: {missed or "none"}.')

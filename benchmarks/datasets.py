@@ -188,10 +188,25 @@ def unrelated(source: Pair, target: Pair) -> Pair:
     return Pair(f'{source.name}|{target.name}', source.source, target.target, None, source.clean_source, source.kind)
 
 
-def overlap(pair: Pair, reach: float) -> float:
-    """Return the share of the target within ``reach`` (target unit) of the truly placed source, in [0, 1]."""
-    distance, _ = cKDTree(apply(pair.T_target_source, pair.clean_source)).query(pair.target, distance_upper_bound=reach)
-    return float(np.isfinite(distance).mean())
+def overlaps(pair: Pair, target: np.ndarray, reach: float) -> tuple[float, float]:
+    """Return the shares of the truly placed source, and of a target in its frame, that lie within ``reach`` (its unit).
+
+    One of five points is looked at.
+    """
+    clouds = apply(pair.T_target_source, pair.clean_source)[::5], target[::5]
+    distances = [
+        cKDTree(other).query(cloud, distance_upper_bound=reach)[0] for cloud, other in (clouds, reversed(clouds))
+    ]
+    return float(np.isfinite(distances[0]).mean()), float(np.isfinite(distances[1]).mean())
+
+
+def moved(pair: Pair, rng: np.random.Generator, *, scale_range: tuple[float, float] = (0.05, 20.0)) -> Pair:
+    """Return the pair with its source in another random pose and unit, and in another order."""
+    scale = np.exp(rng.uniform(*np.log(scale_range)))
+    pose = similarity(scale, random_rotation(rng), rng.normal(size=3) * scale)
+    source = apply(pose, pair.source)[rng.permutation(len(pair.source))]
+    truth = pair.T_target_source @ np.linalg.inv(pose)
+    return Pair(pair.name, source, pair.target, truth, apply(pose, pair.clean_source), pair.kind)
 
 
 def database_c_pair(mesh: Mesh, seed: int, **options) -> Pair:

@@ -1,16 +1,9 @@
-"""What every benchmark command shares: run methods over pairs, keep each run in a CSV, summarise as Markdown."""
+"""What every benchmark command shares: its options, and running methods over pairs into a CSV file."""
 
 from __future__ import annotations
 
 import argparse
 import csv
-import importlib.metadata
-import math
-import os
-import platform
-import shlex
-import statistics
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -21,18 +14,19 @@ import numpy as np
 
 from benchmarks import meshes, metrics, peers
 from benchmarks.datasets import Pair
+from csgm_ros.errors import CsgmError
 
 FOLDER = Path(__file__).resolve().parent
 RESULTS = FOLDER / 'results'
-REFERENCE = 'fgr+sicp'
-"""The peer that wall times are divided by."""
-
 OURS: dict[str, dict[str, object]] = {
     'csgm': {},
     'csgm-graph': {'hypotheses.sources': 'graph'},
     'csgm-local': {'hypotheses.sources': 'local'},
+    'csgm-scale': {},
 }
-"""Names of the product's own variants, as changes of the ``robust`` profile; ``csgm-paper`` is the ``paper`` one."""
+"""Names of the product's own variants, as changes of the ``robust`` profile; ``csgm-paper`` is the ``paper`` one.
+
+``csgm-scale`` estimates the scale even where a protocol is rigid."""
 
 Row = dict[str, object]
 
@@ -81,7 +75,9 @@ def product_config(method: str, changes: dict[str, object], *, rigid: bool = Fal
     from csgm_ros.config import profile, replaced
 
     config = profile('paper') if method == 'csgm-paper' else replaced(profile(), OURS.get(method, {}))
-    return replaced(config, {**changes, **({'scale.estimate_scale': False} if rigid else {})})
+    return replaced(
+        config, {**changes, **({'scale.estimate_scale': False} if rigid and method != 'csgm-scale' else {})}
+    )
 
 
 def parsed_changes(items: Sequence[str]) -> dict[str, object]:
@@ -122,6 +118,8 @@ def run(method: str, pair: Pair, seed: int, *, rigid: bool = False, config=None)
         else:
             estimate = peers.register(method, pair.source, pair.target, seed, rigid=rigid)
     except Exception as error:  # a peer may raise anything, and one failure must not end a long run
+        if config is not None and not isinstance(error, CsgmError):
+            raise  # a defect of the product is no result
         row['reason'] = f'{type(error).__name__}: {error}'.splitlines()[0][:200]
         row['accepted'] = 0 if config is not None else ''
     row |= {'wall': time.perf_counter() - wall, 'cpu': time.process_time() - cpu}
@@ -196,133 +194,3 @@ def _append(path: Path, row: Row) -> None:
         if new:
             writer.writeheader()
         writer.writerow({key: f'{value:.6g}' if isinstance(value, float) else value for key, value in row.items()})
-
-
-def numbers(rows: Iterable[Row], key: str) -> list[float]:
-    """Return one column of some runs as numbers."""
-    return [float(row[key]) for row in rows if row[key] not in ('', None)]
-
-
-def median(values: Sequence[float]) -> float:
-    """Return the median, NaN of nothing."""
-    return statistics.median(values) if values else math.nan
-
-
-def percent(rows: Sequence[Row], key: str) -> str:
-    """Return the share of runs whose 0/1 column is 1, as ``93 %``; a dash for none."""
-    values = numbers(rows, key)
-    return f'{100 * sum(values) / len(values):.0f} %' if values else '-'
-
-
-def grouped(rows: Iterable[Row], key: str) -> dict[str, list[Row]]:
-    """Group runs by a column, in order of appearance."""
-    groups: dict[str, list[Row]] = {}
-    for row in rows:
-        groups.setdefault(str(row[key]), []).append(row)
-    return groups
-
-
-def verdict_counts(rows: Sequence[Row], right: str = 'right_loose') -> str:
-    """Return ``accepted / wrong among them / right among the rejected``, a dash for methods without a verdict."""
-    judged = [row for row in rows if row['accepted'] not in ('', None)]
-    if not judged:
-        return '-'
-    accepted = [row for row in judged if int(row['accepted'])]
-    wrong = sum(not int(row[right]) for row in accepted)
-    missed = sum(int(row[right]) for row in judged if not int(row['accepted']))
-    return f'{len(accepted)} / {wrong} / {missed}'
-
-
-def table(header: Sequence[str], lines: Iterable[Sequence[object]]) -> str:
-    """Return a Markdown table."""
-    texts = [[str(cell) for cell in line] for line in (header, ['---'] * len(header), *lines)]
-    return '\n'.join('| ' + ' | '.join(line) + ' |' for line in texts)
-
-
-def method_table(rows: Sequence[Row]) -> str:
-    """Return the main table: one line a method, best first, wall time beside the reference peer's."""
-    groups = grouped(rows, 'method')
-    reference = median(numbers(groups.get(REFERENCE, []), 'wall'))
-    lines = []
-    for method, runs in groups.items():
-        wall = median(numbers(runs, 'wall'))
-        lines.append(
-            (
-                method,
-                len(runs),
-                percent(runs, 'right_loose'),
-                percent(runs, 'right_tight'),
-                f'{median(numbers(runs, "rmse")):.4f}',
-                f'{median(numbers(runs, "rotation")):.2f}',
-                f'{100 * median(numbers(runs, "scale")):.1f}',
-                f'{wall:.2f}',
-                f'{median(numbers(runs, "cpu")):.2f}',
-                '-' if math.isnan(reference) else f'{wall / reference:.2f}',
-                verdict_counts(runs),
-            )
-        )
-    lines.sort(key=lambda line: -sum(int(str(line[column]).split()[0]) for column in (2, 3)))
-    header = (
-        'method',
-        'runs',
-        'RMSE/r < 0.05',
-        '< 0.02',
-        'RMSE/r median',
-        'rotation, deg',
-        'scale, %',
-        'wall s',
-        'CPU s',
-        f'wall / {REFERENCE}',
-        'accepted / wrong / missed',
-    )
-    return table(header, lines)
-
-
-def machine() -> str:
-    """Return one line on the machine and the versions."""
-    model = platform.processor() or platform.machine()
-    cpu_info = Path('/proc/cpuinfo')
-    if cpu_info.exists():
-        names = [line.partition(':')[2].strip() for line in cpu_info.read_text().splitlines() if 'model name' in line]
-        model = names[0] if names else model
-    versions = []
-    for package in ('numpy', 'scipy', 'numba', 'open3d-cpu', 'kiss-matcher', 'small-gicp', 'probreg', 'jrmpc'):
-        try:
-            versions.append(f'{package} {importlib.metadata.version(package)}')
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    load = f'load average {os.getloadavg()[0]:.1f} at the end'
-    return f'{model}, {os.cpu_count()} cores, {load}; Python {platform.python_version()}, {", ".join(versions)}'
-
-
-def revision() -> str:
-    """Return the short commit that was measured, with a plus where ``csgm_ros`` has changes not committed."""
-    git = ['git', '-C', str(FOLDER)]
-    head = subprocess.run([*git, 'rev-parse', '--short', 'HEAD'], capture_output=True, text=True, check=False)
-    changed = subprocess.run([*git, 'diff', '--quiet', 'HEAD', '--', '../csgm_ros'], check=False).returncode
-    return (head.stdout.strip() or 'unknown') + ('+' if changed else '')
-
-
-def report(name: str, title: str, body: str, options: argparse.Namespace) -> None:
-    """Print a section and write it to ``NAME.md``; then put all sections together in ``RESULTS.md``."""
-    arguments = shlex.join(argument for argument in sys.argv[1:] if argument != '--resume')
-    command = f'python benchmarks/{Path(sys.argv[0]).name} {arguments}'.strip()
-    section = f'## {title}\n\n`{command}` at {revision()}.\n{machine()}.\n\n{body}\n'
-    options.results.mkdir(parents=True, exist_ok=True)
-    (options.results / f'{name}.md').write_text(section)
-    print(section)
-    if options.results == RESULTS:
-        collect()
-
-
-ORDER = ('database_c', 'database_b', 'same_source', 'stress', 'verdict', 'ablation', 'profile_stages')
-
-
-def collect() -> None:
-    """Put the sections at hand together in ``RESULTS.md``."""
-    intro = (
-        '# Results\n\nMade by the commands below; every run is a line of the CSV file of the same name in `results/`. '
-        'Methods, protocols and columns: `README.md`.\n\n'
-    )
-    found = [RESULTS / f'{name}.md' for name in ORDER if (RESULTS / f'{name}.md').exists()]
-    (FOLDER / 'RESULTS.md').write_text(intro + '\n'.join(path.read_text() for path in found))

@@ -92,7 +92,7 @@ def right(estimate: np.ndarray, pair: Pair, bound: float = LOOSE) -> bool:
 
 def errors(estimate: np.ndarray, pair: Pair) -> dict[str, float]:
     """Return every error of an estimate by name; infinite where the estimate is not a similarity at all."""
-    names = ('rmse', 'mean', 'rotation', 'scale', 'f_rotation', 'f_matrix', 'rte')
+    names = ('rmse', 'rmse_absolute', 'mean', 'rotation', 'scale', 'f_rotation', 'f_matrix', 'rte')
     if pair.T_target_source is None:
         return dict.fromkeys(names, math.nan)
     if not np.all(np.isfinite(estimate)) or np.linalg.det(estimate[:3, :3]) <= 0:
@@ -100,6 +100,7 @@ def errors(estimate: np.ndarray, pair: Pair) -> dict[str, float]:
     truth = pair.T_target_source
     values = (
         rmse_over_radius(estimate, pair),
+        rmse_over_radius(estimate, pair) * radius(pair.target),
         float(displacements(estimate, pair).mean()),
         rotation_error_deg(estimate, truth),
         scale_error(estimate, truth),
