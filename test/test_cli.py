@@ -6,6 +6,7 @@ import pty
 import signal
 import subprocess
 import sys
+import termios
 
 import numpy as np
 import pytest
@@ -179,6 +180,7 @@ def test_help_loads_nothing_heavy():
 
 def test_progress_shows_on_a_terminal_and_ctrl_c_exits_with_130(pair):
     main_end, terminal = pty.openpty()
+    termios.tcsetwinsize(terminal, (24, 80))
     run = subprocess.Popen([*COMMAND, 'register', *map(str, pair[:2])], stdout=subprocess.DEVNULL, stderr=terminal)
     os.close(terminal)
     seen = b''

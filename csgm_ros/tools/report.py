@@ -31,7 +31,7 @@ class ProgressBar:
             from tqdm import tqdm
 
             shape = '{desc:<20} {percentage:3.0f}% |{bar:30}| {elapsed}'
-            self._bar = tqdm(total=1.0, bar_format=shape, file=self._stream, leave=False)
+            self._bar = tqdm(total=1.0, bar_format=shape, ncols=72, file=self._stream, leave=False)
         return self
 
     def __exit__(self, *_):
