@@ -53,9 +53,9 @@ def summary(rows: list[harness.Row], folder: Path) -> str:
     """Return Table I, the sweep's table per mesh, and write its plot."""
     parts = [
         'Two half views of 2,000 points each; every method works rigidly, `csgm-scale` estimates the scale too. '
-        "Medians over the seeds: rotation error in degrees, and Frobenius norm of the rotations' difference in brackets. "
-        "The paper's Table I (its unit is not stated): Armadillo JR-MPC 1.456, ICP 1.725, CSGM 0.508; Bunny "
-        '1.789, 2.022, 1.792.'
+        'Medians over the seeds: rotation error in degrees, and in brackets the Frobenius norm of the difference of '
+        'the rotations. Table I of the paper (its unit is not stated): Armadillo JR-MPC 1.456, ICP 1.725, CSGM 0.508; '
+        'Bunny 1.789, 2.022, 1.792.'
     ]
     for noise, title in (('10 dB', 'SNR 10 dB, 20 % outliers (Table I)'), ('20 dB', 'SNR 20 dB, 30 % outliers')):
         chosen = [row for row in rows if str(row['setting']).startswith(noise)]
