@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import rclpy
+import rclpy.client
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
@@ -19,6 +20,7 @@ from csgm_ros.errors import CsgmError
 
 NODE = 'csgm'
 PATIENCE = 30.0  # seconds; discovery alone may take three
+PROBE = 0.5
 
 
 class NoAnswerError(CsgmError):
@@ -73,7 +75,16 @@ class Client:
         self._node = rclpy.create_node('csgm_client', context=self._context, start_parameter_services=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._clients: dict[str, Any] = {}
+        kinds = {'change_state': ChangeState, 'get_available_transitions': GetAvailableTransitions}
+        kinds |= {'register': Trigger, 'cancel': Trigger}
+        self._clients = {name: self._create(kind, name) for name, kind in kinds.items()}
+        self._parameters = AsyncParameterClient(self._node, self.node_name)
+        self._clients['get_state'] = self._create(GetState, 'get_state')
+        try:
+            self._connect()
+        except BaseException:
+            self.__exit__()
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -119,12 +130,12 @@ class Client:
 
     def state(self) -> str:
         """Return the lifecycle state."""
-        return self._call(GetState, 'get_state', GetState.Request(), self.timeout).current_state.label
+        return self._call('get_state', GetState.Request(), self.timeout).current_state.label
 
     def transitions(self) -> list[str]:
         """Return the transitions that are possible now."""
         request = GetAvailableTransitions.Request()
-        found = self._call(GetAvailableTransitions, 'get_available_transitions', request, self.timeout)
+        found = self._call('get_available_transitions', request, self.timeout)
         return [each.transition.label for each in found.available_transitions]
 
     def status(self) -> Status:
@@ -145,42 +156,54 @@ class Client:
 
     def set_parameters(self, values: dict[str, Any]) -> Answer:
         """Set parameters as a whole: all of them or, with the reason, none."""
-        client = self._parameter_client()
+        client = self._parameters
         future = client.set_parameters_atomically([Parameter(name, value=value) for name, value in values.items()])
         result = self._result(future, self.timeout, 'set_parameters_atomically').result
         return Answer(result.successful, result.reason or 'set')
 
     def get_parameters(self, names: list[str]) -> dict[str, Any]:
         """Return the values of parameters."""
-        future = self._parameter_client().get_parameters(names)
+        future = self._parameters.get_parameters(names)
         values = self._result(future, self.timeout, 'get_parameters').values
         found = [rclpy.parameter.parameter_value_to_python(value) for value in values]
         return dict(zip(names, found, strict=True))
 
-    def _parameter_client(self) -> AsyncParameterClient:
-        client = self._clients.setdefault('parameters', AsyncParameterClient(self._node, self.node_name))
-        if not client.wait_for_services(self.timeout):
-            raise NoAnswerError(self._absent())
-        return client
+    def all_parameters(self) -> dict[str, Any]:
+        """Return every parameter of the node with its value."""
+        future = self._parameters.list_parameters([], 0)
+        return self.get_parameters(self._result(future, self.timeout, 'list_parameters').result.names)
+
+    def _create(self, kind: type, service: str) -> rclpy.client.Client:
+        return self._node.create_client(kind, f'{self.node_name}/{service}')
+
+    def _connect(self) -> None:
+        """Ask for the state until it is answered.
+
+        A node drops the answer to a client that it has not discovered yet. Discovery keeps the order in which clients
+        were created: once the last one is answered, all are.
+        """
+        client, end = self._clients['get_state'], time.monotonic() + self.timeout
+        while time.monotonic() < end:
+            future = client.call_async(GetState.Request())
+            self._executor.spin_until_future_complete(future, timeout_sec=PROBE)
+            if future.done():
+                return
+            client.remove_pending_request(future)
+        raise NoAnswerError(self._absent())
 
     def _change(self, transition: int, goal: str, timeout: float | None = None) -> Answer:
         request = ChangeState.Request(transition=Transition(id=transition))
-        answer = self._call(ChangeState, 'change_state', request, timeout or self.timeout)
+        answer = self._call('change_state', request, timeout or self.timeout)
         if answer.success:
             return Answer(True, goal)
         return Answer(False, f'refused while {self.state()}; possible: {", ".join(self.transitions())}')
 
     def _trigger(self, service: str, timeout: float) -> Answer:
-        answer = self._call(Trigger, service, Trigger.Request(), timeout)
+        answer = self._call(service, Trigger.Request(), timeout)
         return Answer(answer.success, answer.message)
 
-    def _call(self, kind: type, service: str, request: Any, timeout: float) -> Any:
-        if service not in self._clients:
-            self._clients[service] = self._node.create_client(kind, f'{self.node_name}/{service}')
-        client = self._clients[service]
-        if not client.wait_for_service(self.timeout):
-            raise NoAnswerError(self._absent())
-        return self._result(client.call_async(request), timeout, service)
+    def _call(self, service: str, request: Any, timeout: float) -> Any:
+        return self._result(self._clients[service].call_async(request), timeout, service)
 
     def _absent(self) -> str:
         others = sorted(f'{space.rstrip("/")}/{name}' for name, space in self._node.get_node_names_and_namespaces())

@@ -50,13 +50,21 @@ class SafeLifecycleNode(LifecycleNode):
         return self._state_machine.current_state[1]
 
 
-def transition(on_exception: TransitionCallbackReturn) -> Callable:
-    """Decorate an ``on_*`` method: log an exception with its traceback and return ``on_exception``."""
+def transition(on_exception: TransitionCallbackReturn, undo: str = '') -> Callable:
+    """Decorate an ``on_*`` method: log an exception with its traceback and return ``on_exception``.
+
+    ``undo`` names a method that takes back what was done up to the exception.
+    """
 
     def decorate(method: Callable) -> Callable:
         @functools.wraps(method)
         def call(self, state):
-            return guarded(method.__get__(self), self, on_exception)(state)
+            def fallback() -> TransitionCallbackReturn:
+                if undo:
+                    guarded(getattr(self, undo), self)()
+                return on_exception
+
+            return guarded(method.__get__(self), self, fallback)(state)
 
         return call
 

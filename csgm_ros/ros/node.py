@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import sys
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -47,18 +48,16 @@ class CsgmNode(SafeLifecycleNode):
 
     # Lifecycle
 
-    @transition(FAILURE)
+    @transition(FAILURE, undo='_release')
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Create the outputs and compile the kernels; to inactive, or back to unconfigured on FAILURE."""
-        from csgm_ros.pipeline import warm_up  # heavy imports, paid here and not in the first registration
-
-        self.get_logger().info('configuring: compiling and loading the kernels, the first time takes a while')
-        warm_up()
+        self.get_logger().info('configuring: compiling and loading the kernels, the first time takes a minute')
+        warm_up_once()
         self._outputs = Outputs(self)
         self.get_logger().info(f'configured, profile {self._settings.config.profile}')
         return super().on_configure(state)
 
-    @transition(FAILURE)
+    @transition(FAILURE, undo='_rest')
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Subscribe; to active, or back to inactive on FAILURE."""
         super().on_activate(state)
@@ -96,7 +95,7 @@ class CsgmNode(SafeLifecycleNode):
         self._release()
         return SUCCESS
 
-    def _rest(self, reason: str) -> None:
+    def _rest(self, reason: str = 'the node rests') -> None:
         for cloud_input in self._inputs:
             cloud_input.close()
         self._registration.cancel(reason)
@@ -188,6 +187,14 @@ class CsgmNode(SafeLifecycleNode):
 
     def _on_diagnostics(self) -> None:
         self._diagnostics.publish(diagnostics(self, self._inputs, self._registration))
+
+
+@functools.cache
+def warm_up_once() -> None:
+    """Import and compile what a registration needs, so that the first one is as fast as the others."""
+    from csgm_ros.pipeline import warm_up
+
+    warm_up()
 
 
 def answer(job: Job) -> tuple[bool, str]:

@@ -1,0 +1,68 @@
+"""Fixtures of all tests; ROS tests run over real DDS in a domain of their own, node and test in two processes."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+def pytest_configure(config):
+    # 1..100: ids above leave the ports that Linux keeps clear; xdist workers share their parent's id and differ by one.
+    worker = os.environ.get('PYTEST_XDIST_WORKER', 'gw0')
+    root = os.getppid() if 'PYTEST_XDIST_WORKER' in os.environ else os.getpid()
+    base = int(os.environ.get('ROS_DOMAIN_ID_BASE', 1 + root % 24 * 4))
+    os.environ['ROS_DOMAIN_ID'] = str(base + int(worker[2:]) % 4)
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+
+
+@pytest.fixture(scope='session')
+def shared() -> Path:
+    """The folder of real data and references; not part of the product."""
+    if 'CSGM_SHARED' not in os.environ:
+        pytest.skip('CSGM_SHARED does not name the folder of reference data')
+    return Path(os.environ['CSGM_SHARED'])
+
+
+@pytest.fixture
+def ros():
+    """A peer of the node: publishes, listens and calls from the process of the test."""
+    pytest.importorskip('rclpy')
+    from ros_helpers.peer import Peer
+
+    peer = Peer()
+    yield peer
+    peer.close()
+
+
+@pytest.fixture(scope='module')
+def node():
+    """One node process for the tests of a module; each test leaves it unconfigured."""
+    pytest.importorskip('rclpy')
+    from ros_helpers.process import NodeProcess
+
+    process = NodeProcess()
+    yield process
+    process.close()
+
+
+@pytest.fixture
+def client(node):
+    """A client of the module's node; back to unconfigured and to its default parameters afterwards."""
+    from csgm_ros.ros.client import Client
+
+    with Client() as connection:
+        before = connection.all_parameters()
+        yield connection
+        connection.deactivate()
+        connection.cleanup()
+        changed = {name: value for name, value in before.items() if connection.all_parameters()[name] != value}
+        assert not changed or connection.set_parameters(changed).success
+        assert connection.state() == 'unconfigured'
+
+
+@pytest.fixture
+def active(client):
+    """The same client, with the node active."""
+    assert client.configure().success
+    assert client.activate().success
+    return client

@@ -1,0 +1,79 @@
+"""Processes beside the test: the node, and whoever sends it clouds."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from ros_helpers.waiting import until
+
+ROOT = Path(__file__).parents[2]
+
+
+class Process:
+    """A Python process with its output in a file."""
+
+    def __init__(self, *arguments, env=None):
+        self._log = tempfile.NamedTemporaryFile('w+', suffix='.log')  # noqa: SIM115 - closed by close()
+        paths = [str(ROOT), str(ROOT / 'test'), os.environ.get('PYTHONPATH', '')]
+        environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(paths), 'PYTHONUNBUFFERED': '1', **(env or {})}
+        self.popen = subprocess.Popen(
+            [sys.executable, *arguments], stdout=self._log, stderr=subprocess.STDOUT, env=environment
+        )
+
+    @property
+    def pid(self):
+        return self.popen.pid
+
+    @property
+    def log(self):
+        return Path(self._log.name).read_text()
+
+    def wait_log(self, text, timeout=60.0):
+        until(lambda: text in self.log or self.popen.poll() is not None, f'{text!r} in the log', timeout)
+        assert text in self.log, f'process ended with {self.popen.poll()}:\n{self.log}'
+
+    def signal(self, number):
+        self.popen.send_signal(number)
+
+    def wait(self, timeout=30.0):
+        return self.popen.wait(timeout)
+
+    def kill(self):
+        if self.popen.poll() is None:
+            self.popen.kill()
+        self.popen.wait()
+
+    def json_lines(self):
+        return [json.loads(line) for line in self.log.splitlines() if line.startswith('{')]
+
+
+class NodeProcess(Process):
+    """The node, started as a user starts it."""
+
+    def __init__(self, *ros_arguments, env=None, module='csgm_ros.ros.node'):
+        arguments = ['--ros-args', *ros_arguments] if ros_arguments else []
+        super().__init__('-m', module, *arguments, env=env)
+
+    def close(self):
+        """End it by SIGINT and expect a clean exit."""
+        if self.popen.poll() is None:
+            self.signal(signal.SIGINT)
+        try:
+            assert self.wait(20.0) == 0, self.log
+        finally:
+            self.kill()
+            self._log.close()
+
+    def threads(self):
+        return len(os.listdir(f'/proc/{self.pid}/task'))
+
+    def descriptors(self):
+        return len(os.listdir(f'/proc/{self.pid}/fd'))
+
+    def resident_mb(self):
+        pages = int(Path(f'/proc/{self.pid}/statm').read_text().split()[1])
+        return pages * os.sysconf('SC_PAGE_SIZE') / 2**20
