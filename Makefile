@@ -40,7 +40,7 @@ lint: $(READY)
 	@$(PY) -m ruff check . && $(PY) -m ruff format --check .
 
 bench: $(READY)
-	@set -e; for script in $(BENCH)/*.py; do echo "== $$script"; $(PY) "$$script"; done
+	@set -e; for script in $$(grep -l __main__ $(BENCH)/*.py); do echo "== $$script"; $(PY) "$$script"; done
 
 config: $(READY)
 	@$(PY) -m csgm_ros.tools.cli config > config/csgm.yaml
