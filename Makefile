@@ -27,6 +27,7 @@ $(READY): requirements.lock setup.py setup.cfg .ci/bootstrap.sh
 	@PYTHON='$(PYTHON)' .ci/bootstrap.sh '$(VENV)'
 
 $(VENV)/.tf2_msgs: test/build_tf2_msgs.sh $(READY)
+	@.ci/bootstrap.sh '$(VENV)' compiler
 	@echo 'Building tf2_msgs from its interface files (about half a minute) ...'
 	@test/build_tf2_msgs.sh '$(VENV)' && touch $@
 

@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
-# usage: [PYTHON=interpreter] bootstrap.sh VENV
-# Makes the virtual environment from requirements.lock and sees to the system packages that it needs.
+# usage: [PYTHON=interpreter] bootstrap.sh VENV [compiler]
+# Makes the virtual environment from requirements.lock and sees to the system packages that it needs; or, with
+# `compiler`, to what a test build in that environment needs.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 VENV=$1
 LOCK=requirements.lock
 LIBRARIES='libgl1 libegl1 libx11-6 libusb-1.0-0 libidn2-0 libudev1 libgomp1'
-COMPILER='g++ libc6-dev'
 
-step() { printf '[%s/5] %s\n' "$1" "$2"; }
+step() { printf '[%s/4] %s\n' "$1" "$2"; }
 die() { printf 'setup: %s\n' "$@" >&2; exit 1; }
 
 # Installs Debian packages as root or by password-less sudo; else says what to install.
@@ -65,6 +65,19 @@ install_lock() {
     { tail -n 15 "$log" >&2; die "pip failed; is the network there? The whole log: $log"; }
 }
 
+# What builds tf2_msgs, which the tests need and the product does not.
+compiler() {
+  local headers missing=()
+  headers=$("$VENV/bin/python" -c 'import sysconfig; print(sysconfig.get_path("include") + "/Python.h")')
+  if ! command -v g++ > /dev/null; then missing+=(g++ libc6-dev); fi
+  if [ ! -f "$headers" ]; then
+    missing+=("$("$VENV/bin/python" -c 'import sys; print("python%d.%d-dev" % sys.version_info[:2])')")
+  fi
+  if [ ${#missing[@]} -gt 0 ]; then system_packages "${missing[@]}"; fi
+}
+
+if [ "${2:-}" = compiler ]; then compiler; exit; fi
+
 [ "$(uname -m)" = x86_64 ] || die "the ROS 2 wheels exist for x86-64 only; on $(uname -m) use a ROS 2 Jazzy install (README)"
 
 if [ -x "$VENV/bin/python" ] && usable "$VENV/bin/python"; then
@@ -93,19 +106,7 @@ if ! "$VENV/bin/python" -c 'import open3d' > /dev/null 2>&1; then
   "$VENV/bin/python" -c 'import open3d'
 fi
 
-step 4 'Compiler and Python headers, for the TF messages of the tests'
-headers=$("$VENV/bin/python" -c 'import sysconfig; print(sysconfig.get_path("include") + "/Python.h")')
-missing=()
-if ! command -v g++ > /dev/null; then
-  # shellcheck disable=SC2206
-  missing+=($COMPILER)
-fi
-if [ ! -f "$headers" ]; then
-  missing+=("$("$VENV/bin/python" -c 'import sys; print("python%d.%d-dev" % sys.version_info[:2])')")
-fi
-if [ ${#missing[@]} -gt 0 ]; then system_packages "${missing[@]}"; fi
-
-step 5 'csgm_ros itself, as it is in this tree; compiling its kernels'
+step 4 'csgm_ros itself, as it is in this tree; compiling its kernels'
 "$VENV/bin/python" -m pip install -q --no-deps --no-build-isolation -e .
 "$VENV/bin/csgm" --help > /dev/null
 "$VENV/bin/python" -c 'from csgm_ros.pipeline import warm_up; warm_up()' ||
