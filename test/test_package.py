@@ -26,7 +26,18 @@ def wheel(tmp_path_factory):
         elif path.exists():
             (folder / 'tree').mkdir(exist_ok=True)
             shutil.copy(path, folder / 'tree' / name)
-    pip = [sys.executable, '-m', 'pip', 'wheel', '-q', '--no-deps', '--no-build-isolation', '-w', str(folder)]
+    pip = [
+        sys.executable,
+        '-m',
+        'pip',
+        'wheel',
+        '-q',
+        '--no-deps',
+        '--use-pep517',
+        '--no-build-isolation',
+        '-w',
+        str(folder),
+    ]
     subprocess.run([*pip, str(folder / 'tree')], check=True)
     return next(folder.glob('*.whl'))
 
