@@ -6,20 +6,13 @@ pytest.importorskip('rclpy')
 
 from ros_helpers.clouds import easy_pair
 from ros_helpers.process import NodeProcess
+from ros_helpers.scene import heard, wait_heard
 from ros_helpers.waiting import until
 
 from csgm_ros.ros.client import Client
 from csgm_ros.ros.cloud_msgs import cloud_message, header
 
 pytestmark = pytest.mark.ros
-
-
-def heard(client, name):
-    return int(client.status().values[name]['heard'])
-
-
-def wait_heard(client, count=1):
-    until(lambda: min(heard(client, 'source'), heard(client, 'target')) >= count, f'{count} clouds heard', 30.0)
 
 
 def test_round_trips_leave_nothing_behind(node, client, ros):

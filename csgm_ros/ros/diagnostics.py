@@ -45,6 +45,7 @@ def input_status(name: str, node, cloud_input: CloudInput) -> DiagnosticStatus:
         'rejected': cloud_input.rejected,
         'last error': cloud_input.last_error,
         'qos': ', '.join(cloud_input.profiles),
+        'longest delay ms': f'{1000 * cloud_input.delay:.1f}',
         'seconds since last': 'never' if last is None else f'{time.monotonic() - last:.1f}',
     }
     if not cloud_input.profiles:

@@ -34,6 +34,8 @@ class CloudInput:
         Why the last message was rejected.
     problem : str
         Why nothing is heard and the remedy; empty when all is well.
+    delay : float
+        Longest time from the arrival of a message to its callback, seconds.
     last_heard : float or None
         ``time.monotonic()`` of the last usable message.
     """
@@ -51,6 +53,7 @@ class CloudInput:
         self._messages: deque[PointCloud2] = deque(maxlen=window)
         self._seen: deque[int] = deque(maxlen=64)
         self.heard = self.rejected = 0
+        self.delay = 0.0
         self.last_error, self.last_heard, self.opened = '', None, time.monotonic()
         self.problem = ''
 
@@ -132,6 +135,7 @@ class CloudInput:
             return  # the same message through the other subscription
         self._seen.append(stamp)
         self.heard += 1
+        self.delay = max(self.delay, (time.time_ns() - info['received_timestamp']) / 1e9)
         try:
             check_layout(message)
         except InputError as error:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
@@ -11,7 +13,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
+from csgm_ros.pointcloud2 import Cloud
 from csgm_ros.ros.diagnostics import diagnostics
+from csgm_ros.ros.frames import Frames
 from csgm_ros.ros.inputs import CloudInput
 from csgm_ros.ros.lifecycle import SafeLifecycleNode, guarded, transition
 from csgm_ros.ros.outputs import Outputs
@@ -34,7 +38,7 @@ class CsgmNode(SafeLifecycleNode):
         self._source, self._target = (CloudInput(self, name, self._on_cloud) for name in ('source', 'target'))
         self._inputs = [self._source, self._target]
         self._outputs: Outputs | None = None
-        self._static_transform = StaticTransform(self)
+        self._static_transform, self._frames = StaticTransform(self), Frames(self)
         self._paired: tuple[int, int] | None = None  # clouds heard of each input at the last automatic request
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         busy = ReentrantCallbackGroup()  # a waiting ~/register must not keep a second one from its answer
@@ -62,6 +66,8 @@ class CsgmNode(SafeLifecycleNode):
         """Subscribe; to active, or back to inactive on FAILURE."""
         super().on_activate(state)
         settings, self._paired = self._settings.node_config, None
+        if settings.fixed_frame:
+            self._frames.listen()
         self._source.open(settings.source_window)
         self._target.open(settings.target_window)
         topics = f'source {self._source.topic}, target {self._target.topic}'
@@ -98,6 +104,7 @@ class CsgmNode(SafeLifecycleNode):
     def _rest(self, reason: str = 'the node rests') -> None:
         for cloud_input in self._inputs:
             cloud_input.close()
+        self._frames.close()
         self._registration.cancel(reason)
 
     def _release(self) -> None:
@@ -127,7 +134,19 @@ class CsgmNode(SafeLifecycleNode):
         for cloud_input, messages in ((self._source, source), (self._target, target)):
             if not messages:
                 return f'no cloud on {cloud_input.topic} yet ({cloud_input.explanation})'
-        return Request(source, target, config, settings.seed, settings.window_voxel)
+        return Request(source, target, config, settings.seed, settings.window_voxel, self._placing())
+
+    def _placing(self) -> Callable[[Cloud], Cloud] | None:
+        """Return what moves a cloud into the fixed frame, None where there is none."""
+        fixed = self._settings.node_config.fixed_frame
+        if not fixed:
+            return None
+
+        def place(cloud: Cloud) -> Cloud:
+            moved = self._frames.lookup(fixed, cloud.frame_id, cloud.stamp).apply(cloud.points)
+            return replace(cloud, points=moved, frame_id=fixed)
+
+        return place
 
     def _on_register(self) -> tuple[bool, str]:
         job = self._registration.job
@@ -180,6 +199,8 @@ class CsgmNode(SafeLifecycleNode):
 
     def _on_watch(self) -> None:
         if self.state == 'active':
+            if self._settings.node_config.fixed_frame:
+                self._frames.listen()
             for cloud_input in self._inputs:
                 cloud_input.watch(self._settings.node_config.input_timeout)
         if self._outputs is not None:

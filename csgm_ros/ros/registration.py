@@ -30,6 +30,7 @@ class Request:
     config: Config
     seed: int
     window_voxel: float
+    place: Callable[[Cloud], Cloud] | None = None  # moves a cloud that will be merged into the fixed frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +133,10 @@ def run(request: Request, progress: Callable[[str, float], None]) -> Outcome:
 def cloud_of(request: Request, name: str) -> Cloud:
     """Return the decoded and merged cloud of one input."""
     try:
-        return merge([decode(message) for message in getattr(request, name)], request.window_voxel)
+        clouds = [decode(message) for message in getattr(request, name)]
+        if request.place is not None and len(clouds) > 1:
+            clouds = [request.place(cloud) for cloud in clouds]
+        return merge(clouds, request.window_voxel)
     except InputError as error:
         raise InputError(f'{name}: {error}') from None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection, Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +14,11 @@ from csgm_ros.config import NodeConfig
 from csgm_ros.errors import InputError
 from csgm_ros.pointcloud2 import Cloud, check_layout, decode, encode
 
+if TYPE_CHECKING:
+    from csgm_ros.tools.simulation import SimulatedPair
+
 CLOUD_TYPE = 'sensor_msgs/msg/PointCloud2'
+EPOCH = 1_700_000_000 * 10**9  # stamp of the first simulated message, nanoseconds
 
 
 def read_clouds(
@@ -102,6 +107,28 @@ def write_clouds(
                 )
             raw = store.serialize_cdr(message_of(cloud, store), CLOUD_TYPE)
             writer.write(connections[topic], cloud.stamp, raw)
+
+
+def record_pair(bag: str | Path, pair: SimulatedPair, *, seconds: float = 2.0, rate: float = 10.0) -> None:
+    """Write a simulated pair as sensors send it: the map once and latched on /source, frames at a rate on /target.
+
+    Parameters
+    ----------
+    bag : str or Path
+        Folder to make; must not exist.
+    pair : SimulatedPair
+    seconds, rate : float
+        Length of the bag and frames per second.
+    """
+    source_colors, target_colors = (
+        (255 * part).round().astype(np.uint8) for part in (pair.source_colors, pair.target_colors)
+    )
+    frames = range(round(seconds * rate) + 1)
+    clouds = [('/source', Cloud(pair.source, source_colors, 'sfm', EPOCH))]
+    clouds += [
+        ('/target', Cloud(pair.target, target_colors, 'camera', EPOCH + round(index / rate * 1e9))) for index in frames
+    ]
+    write_clouds(bag, clouds, latched=['/source'])
 
 
 def open_bag(bag: str | Path):
