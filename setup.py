@@ -63,6 +63,7 @@ setup(
     extras_require={
         'ros': ROS,
         'test': ['pytest', 'pytest-timeout', 'hypothesis'],
+        'peers': ['kiss-matcher', 'small-gicp', 'pycpd', 'jrmpc'],
         'dev': ['ruff', 'colcon-common-extensions', 'setuptools<80', *INTERFACE_BUILD],
     },
     entry_points={

@@ -21,7 +21,7 @@ ALL = (
     'ransac-scale',
     'gicp',
     'icp',
-    'cpd-scale',
+    'cpd',
     'jrmpc',
 )
 

@@ -22,10 +22,10 @@ DENSE_VOXEL = 0.01
 """Voxel of the point-based refinements, share of the radius."""
 GATES = (0.05, 0.02, 0.01)
 """Gates of the scaled ICP, shares of the radius: wider ones shrink the source."""
-FEW_POINTS = 2000
-"""Points left for CPD, which compares every point with every other, as in the paper."""
-JRMPC_POINTS, JRMPC_CENTRES = 1000, 250
-"""Points and mixture components left for JR-MPC, whose every iteration compares them all: half the paper's points."""
+CPD_POINTS = JRMPC_POINTS = 1000
+"""Points left for the methods whose every iteration compares all with all: half of the paper's 2,000, for time."""
+JRMPC_CENTRES = 250
+"""Components of the mixture of JR-MPC."""
 
 Method = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 
@@ -185,21 +185,13 @@ def _few(points: np.ndarray, count: int, seed: int) -> np.ndarray:
     return points[np.random.default_rng(seed).choice(len(points), count, replace=False)]
 
 
-def _cpd(with_scaling: bool) -> Method:
-    def method(source: np.ndarray, target: np.ndarray, seed: int) -> np.ndarray:
-        from probreg import cpd
+def _cpd(source: np.ndarray, target: np.ndarray, seed: int) -> np.ndarray:
+    from pycpd import RigidRegistration
 
-        result, _, _ = cpd.registration_cpd(
-            _few(source, FEW_POINTS, seed),
-            _few(target, FEW_POINTS, seed),
-            'rigid',
-            w=0.2,
-            maxiter=50,
-            update_scale=with_scaling,
-        )
-        return similarity(float(result.scale), np.array(result.rot), np.array(result.t))
-
-    return method
+    clouds = _few(target, CPD_POINTS, seed), _few(source, CPD_POINTS, seed)
+    problem = RigidRegistration(X=clouds[0], Y=clouds[1], w=0.2, max_iterations=50)
+    _, (scale, rotation, translation) = problem.register()
+    return similarity(float(scale), rotation.T, translation.ravel())
 
 
 def _jrmpc(source: np.ndarray, target: np.ndarray, seed: int) -> np.ndarray:
@@ -222,8 +214,7 @@ PEERS: dict[str, tuple[str, Method]] = {
     'teaser': ('teaserpp_python', _teaser),
     'icp': ('open3d', _icp),
     'gicp': ('small_gicp', _small_gicp),
-    'cpd': ('probreg', _cpd(False)),
-    'cpd-scale': ('probreg', _cpd(True)),
+    'cpd': ('pycpd', _cpd),
     'jrmpc': ('jrmpc', _jrmpc),
 }
 """Name -> (importable library, method on normalised clouds)."""

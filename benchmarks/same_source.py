@@ -21,6 +21,9 @@ def main() -> None:
     parser = harness.parser(__doc__, METHODS)
     parser.set_defaults(meshes=['armadillo', 'bunny'])
     options = parser.parse_args()
+    if not set(options.meshes) <= {*meshes.scanned_names(), *meshes.SCULPTURES}:
+        print('skipped: CSGM_SHARED must name the folder that holds data/meshes, or choose others with --meshes')
+        return
     angles = (30, 60) if options.quick else SWEEP
     seeds = options.seeds[:1] if options.quick else options.seeds
     cases = [

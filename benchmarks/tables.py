@@ -107,7 +107,17 @@ def machine() -> str:
         names = [line.partition(':')[2].strip() for line in cpu_info.read_text().splitlines() if 'model name' in line]
         model = names[0] if names else model
     versions = []
-    for package in ('numpy', 'scipy', 'numba', 'open3d-cpu', 'kiss-matcher', 'small-gicp', 'probreg', 'jrmpc'):
+    for package in (
+        'numpy',
+        'scipy',
+        'numba',
+        'open3d-cpu',
+        'kiss-matcher',
+        'small-gicp',
+        'pycpd',
+        'jrmpc',
+        'cmeel-teaser-plusplus',
+    ):
         try:
             versions.append(f'{package} {importlib.metadata.version(package)}')
         except importlib.metadata.PackageNotFoundError:
