@@ -191,9 +191,9 @@ def unrelated(source: Pair, target: Pair) -> Pair:
 def overlaps(pair: Pair, target: np.ndarray, reach: float) -> tuple[float, float]:
     """Return the shares of the truly placed source, and of a target in its frame, that lie within ``reach`` (its unit).
 
-    One of five points is looked at.
+    One of ten points is looked at.
     """
-    clouds = apply(pair.T_target_source, pair.clean_source)[::5], target[::5]
+    clouds = apply(pair.T_target_source, pair.clean_source)[::10], target[::10]
     distances = [
         cKDTree(other).query(cloud, distance_upper_bound=reach)[0] for cloud, other in (clouds, reversed(clouds))
     ]

@@ -298,7 +298,8 @@ def test_an_ablation_changes_one_parameter_at_a_time():
     assert set(changed.values()) == {1}
 
 
-def test_unrelated_pairs_are_many_and_different():
+def test_unrelated_pairs_are_many_and_different(monkeypatch):
+    monkeypatch.delenv('CSGM_SHARED', raising=False)
     cases = verdict.unrelated_cases(['blob0', 'machine0', 'branch0', 'head0'], 200)
     assert len(cases) == 200
     pair = cases[-1].make()
