@@ -24,7 +24,9 @@ system_packages() {
   die "these system packages are missing: $*" "install them, then run make again:" "  sudo apt-get install $*"
 }
 
-usable() { "$1" -c 'import sys; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 12)))' > /dev/null 2>&1; }
+usable() {
+  [ "$("$1" -c 'import sys; print(sys.version_info[:2] in ((3, 11), (3, 12)))' 2> /dev/null)" = True ]
+}
 
 # Candidates in order of preference: 3.12 is the Python of ROS 2 Jazzy. A name on the PATH may be a shim that fails.
 candidates() {
@@ -35,11 +37,7 @@ candidates() {
 
 find_python() {
   local name
-  if [ -n "${PYTHON:-}" ]; then
-    usable "$PYTHON" || die "PYTHON=$PYTHON does not run, or is neither Python 3.11 nor 3.12"
-    echo "$PYTHON"
-    return
-  fi
+  if [ -n "${PYTHON:-}" ]; then echo "$PYTHON"; return; fi
   while read -r name; do
     if usable "$name"; then echo "$name"; return; fi
   done < <(candidates)
@@ -79,6 +77,10 @@ compiler() {
 if [ "${2:-}" = compiler ]; then compiler; exit; fi
 
 [ "$(uname -m)" = x86_64 ] || die "the ROS 2 wheels exist for x86-64 only; on $(uname -m) use a ROS 2 Jazzy install (README)"
+
+if [ -n "${PYTHON:-}" ]; then
+  usable "$PYTHON" || die "PYTHON=$PYTHON does not run, or is neither Python 3.11 nor 3.12"
+fi
 
 if [ -x "$VENV/bin/python" ] && usable "$VENV/bin/python"; then
   step 1 "Python: $("$VENV/bin/python" --version) of the existing $VENV"
