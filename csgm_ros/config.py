@@ -168,12 +168,11 @@ class HypothesesConfig(Checked):
         choices=('ransac', 'graph', 'local', 'both'),
     )
     partners: int = param(4, 'candidate partners of each node or local feature', low=1, high=50)
-    features: int = param(500, 'local features taken from the source', low=10, high=100000)
     feature_radius: float = param(0.25, 'radius of a local feature', unit=RADIUS, low=0.02, high=1.0)
-    relative_scales: tuple[float, ...] = param(
-        (0.7, 1.0, 1.4), 'scales tried relative to Eq. (1), whose error reaches 42 %', low=0.05, high=20.0
+    scale_factor: float = param(
+        2.0, 'scales searched are those of Eq. (1), whose error reaches 42 %, times or by this', low=1.0, high=20.0
     )
-    trials: int = param(300000, 'random triples drawn per relative scale and source', low=100, high=100000000)
+    trials: int = param(1000000, 'random triples drawn per source', low=100, high=100000000)
     limit: int = param(10000, 'hypotheses kept per relative scale and source', low=10, high=1000000)
     min_side: float = param(0.2, 'shortest side of a triple', unit=RADIUS, low=0.01, high=1.0)
     side_tolerance: float = param(0.15, 'how much the scales of the sides of a triple may differ', low=0.01, high=1.0)

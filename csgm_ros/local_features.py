@@ -1,12 +1,22 @@
-"""Local features of the micro structure: FPFH per voxel, and the partners they suggest."""
+"""Local features of the micro structure: FPFH on coarse voxels, and the partners that they suggest."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from csgm_ros.types import PreparedCloud
+from csgm_ros.voxels import voxel_means
 
-MAX_NEIGHBORS = 100
+SPACING = 0.2  # of the keypoints, in feature radii: finer ones cost more and match no better
+MAX_NEIGHBORS = 150
+
+
+def keypoints(surface: PreparedCloud, spacing: float) -> PreparedCloud:
+    """Thin a surface to one point per ``spacing``, each with the normal of the nearest surface point."""
+    points = voxel_means(surface.points, spacing)
+    _, nearest = cKDTree(surface.points).query(points)
+    return PreparedCloud(points, surface.normals[nearest], surface.normalization)
 
 
 def fpfh(cloud: PreparedCloud, radius: float) -> np.ndarray:
@@ -20,21 +30,17 @@ def fpfh(cloud: PreparedCloud, radius: float) -> np.ndarray:
     handle = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.points))
     handle.normals = open3d.utility.Vector3dVector(cloud.normals * np.where(outward == 0.0, 1.0, outward))
     search = open3d.geometry.KDTreeSearchParamHybrid(radius, MAX_NEIGHBORS)
-    return np.asarray(open3d.pipelines.registration.compute_fpfh_feature(handle, search).data).T
+    return np.asarray(open3d.pipelines.registration.compute_fpfh_feature(handle, search).data).T.copy()
 
 
-def partners(source_features: np.ndarray, target_features: np.ndarray, count: int) -> np.ndarray:
-    """Return for each source feature its ``count`` nearest target features, (k, 2) index pairs."""
-    from scipy.spatial import cKDTree
-
-    count = min(count, len(target_features))
-    _, nearest = cKDTree(target_features).query(source_features, k=count)
-    rows = np.repeat(np.arange(len(source_features)), count)
-    return np.column_stack([rows, np.reshape(nearest, -1)])
-
-
-def partners_both_ways(source_features: np.ndarray, target_features: np.ndarray, count: int) -> np.ndarray:
+def partners(source: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
     """Return the pairs in which one feature is among the ``count`` nearest of the other, (k, 2) index pairs."""
-    forth = partners(source_features, target_features, count)
-    back = partners(target_features, source_features, count)
+    forth = _nearest(source, target, count)
+    back = _nearest(target, source, count)
     return np.unique(np.concatenate([forth, back[:, ::-1]]), axis=0)
+
+
+def _nearest(features: np.ndarray, others: np.ndarray, count: int) -> np.ndarray:
+    count = min(count, len(others))
+    _, nearest = cKDTree(others).query(features, k=count)
+    return np.column_stack([np.repeat(np.arange(len(features)), count), np.reshape(nearest, -1)])

@@ -102,34 +102,32 @@ class Clock:
 def _hypotheses(source: Structure, target: Structure, config: Config, rng: np.random.Generator) -> np.ndarray:
     part = config.hypotheses
     found = [np.empty((0, 4, 4))]
-    for relative in part.relative_scales:
-        if part.sources in ('graph', 'both'):
-            pairs = local_features.partners_both_ways(source.described(relative), target.described(1.0), part.partners)
-            found.append(_triples(source.nodes, target.nodes, pairs, relative, config, rng))
-        if part.sources in ('local', 'both'):
-            chosen = rng.permutation(len(source.surface.points))[: part.features]
-            features = local_features.fpfh(source.surface, part.feature_radius * relative)[chosen]
-            pairs = local_features.partners(
-                features, local_features.fpfh(target.surface, part.feature_radius), part.partners
-            )
-            pairs[:, 0] = chosen[pairs[:, 0]]
-            found.append(_triples(source.surface, target.surface, pairs, relative, config, rng))
+    if part.sources in ('graph', 'both'):
+        pairs = local_features.partners(source.node_features, target.node_features, part.partners)
+        found.append(_triples(source.supervoxels, target.supervoxels, pairs, config, rng))
+    if part.sources in ('local', 'both'):
+        pairs = local_features.partners(source.features, target.features, part.partners)
+        found.append(_triples(source.keypoints, target.keypoints, pairs, config, rng))
     return np.concatenate(found)
 
 
-def _triples(source, target, pairs, relative, config, rng):
+def _triples(source, target, pairs, config, rng):
     part = config.hypotheses
     i, a = pairs.T
-    matches = hypotheses.Correspondences(source.points[i], target.points[a], source.normals[i], target.normals[a])
+    matches = hypotheses.Correspondences(_places(source)[i], _places(target)[a], source.normals[i], target.normals[a])
     return hypotheses.from_triples(
         matches,
         rng,
         part.trials,
-        scale_range=(1 / relative / 1.3, 1 / relative * 1.3),
+        scale_range=(1 / part.scale_factor, part.scale_factor),
         min_length=part.min_side,
         side_tolerance=part.side_tolerance,
         limit=part.limit,
     )
+
+
+def _places(cloud):
+    return cloud.points if hasattr(cloud, 'points') else cloud.centroids
 
 
 def _final_icp(clouds, normalizations, config: Config):
@@ -138,6 +136,7 @@ def _final_icp(clouds, normalizations, config: Config):
         voxel_means(normalization.apply(points), part.voxel_size)
         for points, normalization in zip(clouds, normalizations, strict=True)
     ]
+    thin[0] = thin[0][:: max(len(thin[0]) // 4000, 1)]
 
     def polish(start: Similarity) -> Similarity:
         return icp.refine(

@@ -1,9 +1,8 @@
-"""Steps 1 and 2 for one cloud: supervoxels and what describes them (Sec. III-B)."""
+"""Step 2 for one cloud: its surface, its supervoxels and what describes them (Sec. III-B)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -13,34 +12,50 @@ from csgm_ros.config import Config
 from csgm_ros.supervoxels import segment
 from csgm_ros.types import PreparedCloud, Similarity, Supervoxels
 
-
-class Nodes(NamedTuple):
-    points: np.ndarray
-    normals: np.ndarray
+FEATURES_PER_NODE = 3  # the features nearest to a node that are averaged to describe it
 
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """A cloud's surface (voxels) and its supervoxels, in the normalised frame."""
+    """Macro and micro structure of one cloud in its normalised frame.
+
+    Attributes
+    ----------
+    surface : PreparedCloud
+        The voxels that the supervoxels were grown from.
+    supervoxels : Supervoxels
+        Macro structure.
+    keypoints : PreparedCloud
+        Coarser voxels that carry local features.
+    features : (k, 33) ndarray
+        FPFH of the keypoints.
+    """
 
     surface: PreparedCloud
     supervoxels: Supervoxels
-    config: Config
+    keypoints: PreparedCloud
+    features: np.ndarray
 
     @property
-    def nodes(self) -> Nodes:
-        return Nodes(self.supervoxels.centroids, self.supervoxels.normals)
-
-    def described(self, relative: float) -> np.ndarray:
-        part = self.config
-        radius = part.descriptors.context_radius * part.supervoxels.seed_size * relative
-        features = local_features.fpfh(self.surface, radius)
-        _, near = cKDTree(self.surface.points).query(self.supervoxels.centroids, k=min(5, len(features)))
-        return features[near].mean(1)
+    def node_features(self) -> np.ndarray:
+        """(n, 33) FPFH of the surroundings of every supervoxel."""
+        count = min(FEATURES_PER_NODE, len(self.features))
+        _, near = cKDTree(self.keypoints.points).query(self.supervoxels.centroids, k=count)
+        return self.features[near.reshape(len(near), count)].mean(1)
 
 
-def extract(points: np.ndarray, normalization: Similarity, config: Config) -> Structure:
-    """Cut a cloud into supervoxels in its normalised frame."""
+def extract(points: np.ndarray, normalization: Similarity, config: Config, relative: float = 1.0) -> Structure:
+    """Extract the structure of a cloud.
+
+    Parameters
+    ----------
+    points : (N, 3) ndarray
+        Finite points in the cloud's own unit.
+    normalization : Similarity
+        Own unit to radius 1.
+    relative : float, optional
+        Factor on every length: what the other cloud's radius measures in this one's when Eq. (1) is wrong.
+    """
     part = config.supervoxels
     cut = segment(
         normalization.apply(points),
@@ -50,5 +65,9 @@ def extract(points: np.ndarray, normalization: Similarity, config: Config) -> St
         normal_weight=part.normal_weight,
         refinements=part.refinements,
     )
+    # a voxel without a plane around it has no normal: zero agrees with nothing
     normals = np.where(np.isfinite(cut.voxel_normals), cut.voxel_normals, 0.0)
-    return Structure(PreparedCloud(cut.voxel_points, normals, normalization), cut, config)
+    surface = PreparedCloud(cut.voxel_points, normals, normalization)
+    radius = config.hypotheses.feature_radius * relative
+    keypoints = local_features.keypoints(surface, radius * local_features.SPACING)
+    return Structure(surface, cut, keypoints, local_features.fpfh(keypoints, radius))
