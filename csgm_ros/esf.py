@@ -12,6 +12,7 @@ from numba import njit
 GRID = 64
 HALF = GRID // 2
 BINS = 64
+WIDTH = 640
 # A cell's three indices in one word, each with a fraction below it: a line through the grid is then one addition
 # a cell. Every axis has FIELD bits, FRACTION of them for the fraction.
 FIELD, FRACTION = 21, 15

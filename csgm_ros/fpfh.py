@@ -1,0 +1,116 @@
+"""Fast point feature histograms (FPFH) of a cloud's surroundings of arbitrary places.
+
+Rusu et al. 2009: each pair of points with normals gives three angles; their histograms, 11 bins each, make the
+simplified feature (SPFH) of a point, and a weighted mean of those around a place makes its FPFH.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+BINS = 11
+WIDTH = 3 * BINS
+
+
+def fpfh(points: np.ndarray, normals: np.ndarray, radius: float, places: np.ndarray) -> np.ndarray:
+    """Return the FPFH of (n, 3) places among (v, 3) points, (n, 33); zeros where no pair of points is near.
+
+    Parameters
+    ----------
+    points, normals : (v, 3) ndarray
+        A cloud and its unit normals with a consistent sign; points with an undefined (NaN) normal are left out.
+    radius : float
+        Both for the pairs of an SPFH and for the SPFHs of a place, in the unit of the points.
+    places : (n, 3) ndarray
+        They need not be points of the cloud.
+
+    Returns
+    -------
+    (n, 33) ndarray
+        Each of the three histograms sums to 100.
+
+    Notes
+    -----
+    An SPFH weighs ``1 / (d^2 + (radius / 10)^2)``. The original weighs ``1 / d^2`` and adds the point's own; a
+    place that is no point has none, and may have a point at d = 0.
+    """
+    defined = np.isfinite(normals).all(1)
+    points, normals = points[defined], normals[defined]
+    if not len(points):
+        return np.zeros((len(places), WIDTH))
+    axis = int(np.argmax(np.ptp(points, axis=0)))
+    order = np.argsort(points[:, axis], kind='stable')
+    points = np.ascontiguousarray(points[order], np.float64)
+    features = _spfh(points, np.ascontiguousarray(normals[order], np.float64), radius, axis)
+    return _weighted_means(points, features, radius, np.ascontiguousarray(places, np.float64))
+
+
+@njit(cache=True, nogil=True)
+def _spfh(points, normals, radius, axis):
+    """Return the SPFH of each point; the points are sorted along ``axis``, so a sweep finds the pairs."""
+    counts = np.zeros((len(points), WIDTH))
+    for i in range(len(points)):
+        for j in range(i + 1, len(points)):
+            if points[j, axis] - points[i, axis] > radius:
+                break
+            x, y, z = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
+            distance = np.sqrt(x * x + y * y + z * z)
+            if distance > radius or distance == 0:
+                continue
+            defined, theta, alpha, phi = _pair_bins(normals[i], normals[j], x / distance, y / distance, z / distance)
+            if defined:
+                for p in (i, j):
+                    counts[p, theta] += 1
+                    counts[p, BINS + alpha] += 1
+                    counts[p, 2 * BINS + phi] += 1
+    for i in range(len(points)):
+        total = counts[i, :BINS].sum()
+        if total > 0:
+            counts[i] *= 100 / total
+    return counts
+
+
+@njit(cache=True, nogil=True)
+def _pair_bins(first, second, x, y, z):
+    """Return whether a pair with unit direction (x, y, z) from first to second has angles, and their bins.
+
+    The frame sits at the point whose normal is nearer to the direction, so that either order gives the same.
+    """
+    phi = first[0] * x + first[1] * y + first[2] * z
+    other = second[0] * x + second[1] * y + second[2] * z
+    u, n = first, second
+    if abs(phi) < abs(other):
+        u, n, phi, x, y, z = second, first, -other, -x, -y, -z
+    vx, vy, vz = y * u[2] - z * u[1], z * u[0] - x * u[2], x * u[1] - y * u[0]
+    length = np.sqrt(vx * vx + vy * vy + vz * vz)
+    if length < 1e-12:
+        return False, 0, 0, 0
+    vx, vy, vz = vx / length, vy / length, vz / length
+    wx, wy, wz = u[1] * vz - u[2] * vy, u[2] * vx - u[0] * vz, u[0] * vy - u[1] * vx
+    alpha = vx * n[0] + vy * n[1] + vz * n[2]
+    theta = np.arctan2(wx * n[0] + wy * n[1] + wz * n[2], u[0] * n[0] + u[1] * n[1] + u[2] * n[2])
+    return True, _bin(theta / np.pi), _bin(alpha), _bin(phi)
+
+
+@njit(cache=True, nogil=True)
+def _bin(value):
+    """Return the bin of a value in [-1, 1]."""
+    return min(max(int(BINS * (value + 1) / 2), 0), BINS - 1)
+
+
+@njit(cache=True, nogil=True)
+def _weighted_means(points, features, radius, places):
+    """Return the weighted mean feature of the points within the radius of each place."""
+    means = np.zeros((len(places), WIDTH))
+    for k in range(len(places)):
+        for i in range(len(points)):
+            squared = 0.0
+            for a in range(3):
+                squared += (points[i, a] - places[k, a]) ** 2
+            if squared <= radius * radius:
+                means[k] += features[i] / (squared + (0.1 * radius) ** 2)
+        total = means[k].sum()
+        if total > 0:
+            means[k] *= 300 / total
+    return means
