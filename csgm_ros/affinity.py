@@ -14,9 +14,9 @@ def affinity(first: np.ndarray, second: np.ndarray, similarity: str, sigma: floa
     first, second : (n1, d), (n2, d) ndarray
         Descriptors: ESF of nodes for K_p, edge descriptors for K_q.
     similarity : {'linear', 'gaussian'}
-        ``1 - D / max(D)`` or ``exp(-D^2 / (2 sigma^2))`` of the distances D.
+        ``1 - D / max(D)`` or ``exp(-D^2 / (2 (sigma median(D))^2))`` of the distances D.
     sigma : float
-        Width of the Gaussian, in the unit of the descriptors.
+        Width of the Gaussian, in medians of D.
 
     Returns
     -------
@@ -31,6 +31,7 @@ def affinity(first: np.ndarray, second: np.ndarray, similarity: str, sigma: floa
     """
     distances = cdist(first, second)
     if similarity == 'gaussian':
-        return np.exp(-(distances**2) / (2.0 * sigma**2))
+        width = sigma * float(np.median(distances)) if distances.size else 0.0
+        return np.exp(-(distances**2) / (2.0 * width**2)) if width > 0.0 else np.ones_like(distances)
     largest = distances.max(initial=0.0)
     return 1.0 - distances / largest if largest > 0.0 else np.ones_like(distances)

@@ -140,12 +140,15 @@ class MatchingConfig(Checked):
     """Step 4, enhanced factorised graph matching, Eq. (4) to Eq. (8)."""
 
     alpha_steps: int = param(
-        11, 'values of alpha on the path from the concave to the convex relaxation', low=2, high=1001
+        41, 'values of alpha on the path from the concave to the convex relaxation', low=2, high=1001
     )
-    frank_wolfe_iterations: int = param(50, 'Frank-Wolfe steps at most per alpha', low=1, high=10000)
+    frank_wolfe_iterations: int = param(10, 'Frank-Wolfe steps at most per alpha', low=1, high=10000)
     gap_tolerance: float = param(1e-3, 'duality gap at which Frank-Wolfe stops', unit='objective', low=0.0, high=1.0)
     smooth_weight: float = param(
         0.1, 'weight of J_smooth, Eq. (8); 0 turns it off, 1 is the paper', low=0.0, high=100.0
+    )
+    search_effort: float = param(
+        8.0, 'work of the search after the path; 0 turns it off', unit='million operations', low=0.0, high=1e6
     )
 
 
@@ -172,10 +175,16 @@ class HypothesesConfig(Checked):
     scale_factor: float = param(
         2.0, 'scales searched are those of Eq. (1), whose error reaches 42 %, times or by this', low=1.0, high=20.0
     )
+    relative_scales: tuple[float, ...] = param(
+        (0.6, 1.6), 'lengths tried, relative to the configured ones, while no result is accepted', low=0.05, high=20.0
+    )
     trials: int = param(1000000, 'random triples drawn per source', low=100, high=100000000)
     limit: int = param(10000, 'hypotheses kept per relative scale and source', low=10, high=1000000)
     min_side: float = param(0.2, 'shortest side of a triple', unit=RADIUS, low=0.01, high=1.0)
-    side_tolerance: float = param(0.15, 'how much the scales of the sides of a triple may differ', low=0.01, high=1.0)
+    side_tolerance: float = param(0.2, 'how much the scales of the sides of a triple may differ', low=0.01, high=1.0)
+    max_normal_angle: float = param(
+        50.0, 'how much the normals of a triple may differ', unit='degree', low=1.0, high=90.0
+    )
 
 
 @dataclass(frozen=True)
@@ -210,19 +219,25 @@ class VerificationConfig(Checked):
     min_fitness: float = param(
         0.15, 'smaller fitness of the two sides below which a result is rejected', low=0.0, high=1.0
     )
+    chance: float = param(
+        0.05, 'score that clouds reach by chance: the least that a result is compared with', low=0.001, high=1.0
+    )
     min_margin: float = param(
-        1.1, 'score over that of the best different hypothesis below which a result is rejected', low=1.0, high=100.0
+        1.15, 'score over that of the best different hypothesis below which a result is rejected', low=1.0, high=100.0
+    )
+    min_lead: float = param(
+        0.02, 'score above that of the best different hypothesis below which a result is rejected', low=0.0, high=1.0
     )
 
 
 @dataclass(frozen=True)
 class IcpConfig(Checked):
-    """Step 5c, final ICP with scale and shrinking gates."""
+    """Step 5c, final ICP with shrinking gates."""
 
-    voxel_size: float = param(0.01, 'voxel grid of the clouds for the final ICP', unit=RADIUS, low=0.001, high=0.2)
+    estimate_scale: bool = param(True, 'refine the scale too; the paper leaves it at Eq. (1) and RANSAC')
     iterations: int = param(30, 'ICP iterations at most per gate', low=1, high=1000)
     gates: tuple[float, ...] = param(
-        (0.03, 0.02, 0.01),
+        (0.02, 0.01),
         'largest distance of a correspondence, one ICP run after the other',
         unit=RADIUS,
         low=0.0005,
@@ -290,8 +305,11 @@ PAPER = {
     'graph.similarity': 'linear',
     'matching.alpha_steps': 101,
     'matching.frank_wolfe_iterations': 100,
+    'matching.gap_tolerance': 1e-6,
     'matching.smooth_weight': 1.0,
+    'matching.search_effort': 0.0,
     'hypotheses.sources': 'ransac',
+    'icp.estimate_scale': False,
 }
 
 

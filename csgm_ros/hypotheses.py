@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from csgm_ros.config import HypothesesConfig
+
 
 class Correspondences(NamedTuple):
     """Candidate matches; a point may occur in many.
@@ -33,27 +35,45 @@ class Correspondences(NamedTuple):
 def from_triples(
     matches: Correspondences,
     rng: np.random.Generator,
-    trials: int,
-    *,
-    scale_range: tuple[float, float],
-    min_length: float = 0.2,
-    side_tolerance: float = 0.2,
-    min_cosine: float = 0.7,
-    limit: int = 20000,
+    config: HypothesesConfig,
+    scales: tuple[float, float],
 ) -> np.ndarray:
     """Draw triples of matches and return the transforms of those that keep the structure.
+
+    Parameters
+    ----------
+    matches : Correspondences
+        Candidates, most of them wrong.
+    rng : numpy.random.Generator
+        Draws the triples.
+    config : HypothesesConfig
+        How many, and how exactly sides and normals have to agree.
+    scales : tuple of float
+        Smallest and largest scale; equal ones fix it.
 
     Returns
     -------
     (H, 4, 4) ndarray
-        At most ``limit`` similarity matrices, in the order drawn.
+        At most ``config.limit`` similarity matrices, in the order drawn.
     """
     if len(matches.source) < 3:
         return np.empty((0, 4, 4))
-    seed = int(rng.integers(1, 2**63 - 1))
-    out = np.empty((limit, 4, 4))
-    low, high = np.log(scale_range[0]), np.log(scale_range[1])
-    count = _draw(*matches, np.uint64(seed), trials, low, high, min_length, np.log1p(side_tolerance), min_cosine, out)
+    low, high = np.log(scales)
+    fixed = low == high
+    slack = np.log1p(config.side_tolerance) if fixed else 0.0
+    out = np.empty((config.limit, 4, 4))
+    count = _draw(
+        *(np.ascontiguousarray(part, float) for part in matches),
+        np.uint64(rng.integers(1, 2**63 - 1)),
+        config.trials,
+        low - slack,
+        high + slack,
+        fixed,
+        config.min_side,
+        np.log1p(config.side_tolerance),
+        np.cos(np.radians(config.max_normal_angle)),
+        out,
+    )
     return out[:count]
 
 
@@ -69,7 +89,7 @@ def _below(state, n):
 
 
 @numba.njit(cache=True, nogil=True)
-def _draw(p, q, np_, nq, seed, trials, low, high, min_length, tolerance, min_cosine, out):
+def _draw(p, q, np_, nq, seed, trials, low, high, fixed, min_length, tolerance, min_cosine, out):
     state = np.array([seed], np.uint64)
     triple = np.empty(3, np.int64)
     count = 0
@@ -81,7 +101,7 @@ def _draw(p, q, np_, nq, seed, trials, low, high, min_length, tolerance, min_cos
             continue
         if not _angles_agree(p, q, np_, nq, triple):
             continue
-        matrix = _triad(p, q, triple, np.exp(scale))
+        matrix = _triad(p, q, triple, np.exp(0.5 * (low + high) if fixed else scale))
         if _normals_agree(matrix, np_, nq, triple, min_cosine):
             out[count] = matrix
             count += 1
@@ -156,8 +176,12 @@ def _frame(a, b, c):
 
 @numba.njit(cache=True, nogil=True)
 def _normals_agree(matrix, np_, nq, triple, min_cosine):
-    scale = np.sqrt((matrix[:3, 0] ** 2).sum())
-    for i in range(3):
-        if abs((matrix[:3, :3] @ np_[triple[i]]) @ nq[triple[i]]) < min_cosine * scale:
+    scale = np.sqrt(matrix[0, 0] ** 2 + matrix[1, 0] ** 2 + matrix[2, 0] ** 2)
+    for k in range(3):
+        product = 0.0
+        for r in range(3):
+            for c in range(3):
+                product += matrix[r, c] * np_[triple[k], c] * nq[triple[k], r]
+        if abs(product) < min_cosine * scale:
             return False
     return True

@@ -33,7 +33,7 @@ def fpfh(cloud: PreparedCloud, radius: float) -> np.ndarray:
     return np.asarray(open3d.pipelines.registration.compute_fpfh_feature(handle, search).data).T.copy()
 
 
-def partners(source: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
+def nearest_both_ways(source: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
     """Return the pairs in which one feature is among the ``count`` nearest of the other, (k, 2) index pairs."""
     forth = _nearest(source, target, count)
     back = _nearest(target, source, count)

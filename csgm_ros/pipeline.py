@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
+from collections.abc import Iterator
 
 import numpy as np
 
-from csgm_ros import hypotheses, icp, local_features, preprocess
-from csgm_ros import search as transform_search
+from csgm_ros import partners
+from csgm_ros.clock import Clock, Progress
 from csgm_ros.config import Config, profile
-from csgm_ros.scale import normalization
-from csgm_ros.structure import Structure, extract
-from csgm_ros.types import RegistrationResult, Similarity
-from csgm_ros.voxels import voxel_means
-
-Progress = Callable[[str, float], None]
+from csgm_ros.hypotheses import from_triples
+from csgm_ros.partners import GraphMatch
+from csgm_ros.preprocess import finite_points
+from csgm_ros.ransac import ransac
+from csgm_ros.scale import normalizations, search_range
+from csgm_ros.search import search
+from csgm_ros.structure import extract
+from csgm_ros.types import RegistrationResult, Similarity, StructureGraph, Verdict
+from csgm_ros.verdict import Judge
 
 
 def register(
@@ -55,95 +57,74 @@ def register(
     rng = np.random.default_rng(seed)
     clock = Clock(on_progress, config.time_budget)
 
-    clock.enter('normalization', 0.0)
-    clouds = preprocess.finite_points(source, 'source'), preprocess.finite_points(target, 'target')
-    normalizations = normalization(clouds[0]), normalization(clouds[1])
-    clock.enter('structure', 0.05)
-    structures = [extract(points, n, config) for points, n in zip(clouds, normalizations, strict=True)]
-    clock.enter('hypotheses', 0.4)
-    candidates = _hypotheses(*structures, config, rng)
-    clock.enter('search', 0.6)
-    surfaces = [structure.surface for structure in structures]
-    finalists = transform_search.search(
-        candidates, *surfaces, config, rng, lambda share: clock.tick(0.6 + 0.25 * share)
-    )
-    clock.enter('verdict', 0.85)
-    polish = _final_icp(clouds, normalizations, config)
-    best, verdict = transform_search.judge(finalists, clouds, normalizations, config, rng, polish)
+    clock.enter('scale normalization', 0.0)
+    clouds = finite_points(source, 'source'), finite_points(target, 'target')
+    units = normalizations(*clouds, config.scale)
+    clock.enter('structure extraction', 0.05)
+    first, second = (extract(points, unit, config, rng) for points, unit in zip(clouds, units, strict=True))
+    clock.enter('graph matching', 0.3)
+    match = partners.match(first, second, config, clock)
+    clock.enter('transformation estimation', 0.5)
+    estimate = _paper_estimate if config.hypotheses.sources == 'ransac' else _searched_estimate
+    judge = Judge(clouds, units, config, rng)
+    best, verdict = estimate(clouds, (first, second), match, judge, config, rng, clock)
     clock.enter('done', 1.0)
-    own = normalizations[1].inverse() @ best @ normalizations[0]
-    return RegistrationResult(own, verdict, clock.timings, seed, config)
+
+    own = units[1].inverse() @ best @ units[0]
+    graphs = [_own_unit(structure.graph, unit) for structure, unit in zip((first, second), units, strict=True)]
+    offsets = best.apply(first.graph.nodes[match.pairs[:, 0]]) - second.graph.nodes[match.pairs[:, 1]]
+    inliers = np.linalg.norm(offsets, axis=1) < config.ransac.inlier_distance
+    return RegistrationResult(own, verdict, clock.timings, seed, config, *graphs, match.pairs, inliers)
 
 
-class Clock:
-    """Names the running stage to the caller, keeps the wall seconds of each and the time budget."""
-
-    def __init__(self, on_progress: Progress | None, time_budget: float):
-        self.timings: dict[str, float] = {}
-        self._on_progress = on_progress
-        self._stage, self._since = '', time.perf_counter()
-        self._deadline = self._since + time_budget if time_budget > 0.0 else float('inf')
-
-    def enter(self, stage: str, fraction: float) -> None:
-        """End the running stage and begin another."""
-        now = time.perf_counter()
-        if self._stage:
-            self.timings[self._stage] = now - self._since
-        self._stage, self._since = stage, now
-        self.tick(fraction)
-
-    def tick(self, fraction: float) -> bool:
-        """Report progress within a stage; False when the time budget is spent."""
-        if self._on_progress:
-            self._on_progress(self._stage, fraction)
-        return time.perf_counter() < self._deadline
-
-
-def _hypotheses(source: Structure, target: Structure, config: Config, rng: np.random.Generator) -> np.ndarray:
-    part = config.hypotheses
-    found = [np.empty((0, 4, 4))]
-    if part.sources in ('graph', 'both'):
-        pairs = local_features.partners(source.node_features, target.node_features, part.partners)
-        found.append(_triples(source.supervoxels, target.supervoxels, pairs, config, rng))
-    if part.sources in ('local', 'both'):
-        pairs = local_features.partners(source.features, target.features, part.partners)
-        found.append(_triples(source.keypoints, target.keypoints, pairs, config, rng))
-    return np.concatenate(found)
-
-
-def _triples(source, target, pairs, config, rng):
-    part = config.hypotheses
-    i, a = pairs.T
-    matches = hypotheses.Correspondences(_places(source)[i], _places(target)[a], source.normals[i], target.normals[a])
-    return hypotheses.from_triples(
-        matches,
+def _paper_estimate(clouds, structures, match: GraphMatch, judge: Judge, config: Config, rng, clock: Clock):
+    """Step 5 as the paper has it: RANSAC on the matched centroids, then ICP."""
+    matched = (structure.graph.nodes[match.pairs[:, side]] for side, structure in enumerate(structures))
+    start, _ = ransac(
+        *matched,
         rng,
-        part.trials,
-        scale_range=(1 / part.scale_factor, part.scale_factor),
-        min_length=part.min_side,
-        side_tolerance=part.side_tolerance,
-        limit=part.limit,
+        iterations=config.ransac.iterations,
+        inlier_distance=config.ransac.inlier_distance,
+        estimate_scale=config.scale.estimate_scale,
     )
+    clock.tick(0.8)
+    best = judge.polish(start, config.scale.estimate_scale and config.icp.estimate_scale)
+    return best, judge.verdict(best, judge.fit(best))
 
 
-def _places(cloud):
-    return cloud.points if hasattr(cloud, 'points') else cloud.centroids
+def _searched_estimate(clouds, structures, match: GraphMatch, judge: Judge, config: Config, rng, clock: Clock):
+    """Step 5 extended: rounds of many hypotheses, verified from both sides, until one is accepted."""
+    best, verdict = Similarity.identity(), None
+    for number, (hypotheses, source, target) in enumerate(_rounds(clouds, structures, match, config, rng)):
+        finalists = search(hypotheses, source.surface, target.surface, config, rng, clock)
+        best, verdict = judge.consider(finalists)
+        if verdict.accepted or not clock.tick(1.0 - 0.5 * 0.6 ** (number + 1)):
+            break
+    return best, verdict
 
 
-def _final_icp(clouds, normalizations, config: Config):
-    part = config.icp
-    thin = [
-        voxel_means(normalization.apply(points), part.voxel_size)
-        for points, normalization in zip(clouds, normalizations, strict=True)
-    ]
-    thin[0] = thin[0][:: max(len(thin[0]) // 4000, 1)]
-
-    def polish(start: Similarity) -> Similarity:
-        return icp.refine(
-            *thin, start, part.gates, iterations=part.iterations, estimate_scale=config.scale.estimate_scale
+def _rounds(clouds, structures, match: GraphMatch, config: Config, rng) -> Iterator[tuple]:
+    """Yield hypotheses with the structures they are between: as configured, then with other relative lengths."""
+    part = config.hypotheses
+    source, target = structures
+    for relative in (1.0, *(part.relative_scales if config.scale.estimate_scale else ())):
+        if relative != 1.0:
+            source = extract(clouds[0], structures[0].surface.normalization, config, rng, relative)
+            match = partners.match(source, target, config, Clock())
+        low, high = search_range(
+            source.surface.normalization, target.surface.normalization, config.scale, part.scale_factor, relative
         )
+        if part.sources in ('graph', 'both'):
+            nodes = partners.of_nodes(source, target, match, part.partners)
+            yield from_triples(nodes, rng, part, (low, high)), source, target
+        if part.sources in ('local', 'both'):
+            features = partners.of_features(source, target, part.partners)
+            yield from_triples(features, rng, part, (low, high)), source, target
 
-    return polish
+
+def _own_unit(graph: StructureGraph, unit: Similarity) -> StructureGraph:
+    nodes = unit.inverse().apply(graph.nodes)
+    return StructureGraph(nodes, graph.normals, graph.node_descriptors, graph.edges, graph.edge_descriptors)
 
 
 def warm_up() -> None:
@@ -153,3 +134,6 @@ def warm_up() -> None:
     points *= np.array((3.0, 2.0, 1.0)) / np.linalg.norm(points, axis=1, keepdims=True)
     for name in ('robust', 'paper'):
         register(points, points, profile(name))
+
+
+__all__ = ['RegistrationResult', 'Verdict', 'register', 'warm_up']

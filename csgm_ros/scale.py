@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from csgm_ros.config import ScaleConfig
 from csgm_ros.types import Similarity
 
 
@@ -12,11 +13,40 @@ def radius(points: np.ndarray) -> float:
     return float(np.sqrt(((points - points.mean(0)) ** 2).sum(1).max()))
 
 
-def normalization(points: np.ndarray) -> Similarity:
-    """Return the transform that centres (N, 3) points and gives them radius 1.
+def normalizations(source: np.ndarray, target: np.ndarray, config: ScaleConfig) -> tuple[Similarity, Similarity]:
+    """Return the transforms that centre two clouds and give both radius 1.
 
-    Doing so to both clouds divides them by the scale of Eq. (1) and, beyond it, frees every later stage of
-    the clouds' units and origins.
+    Doing so to both divides them by the scale of Eq. (1) and, beyond it, frees every later stage of the clouds'
+    units and origins. In rigid mode the clouds share a unit already, and both are divided by one length between
+    their radii.
+
+    Parameters
+    ----------
+    source, target : (N, 3), (M, 3) ndarray
+        Finite points.
+    config : ScaleConfig
+        ``estimate_scale`` false is the rigid mode.
     """
-    scale = 1.0 / radius(points)
-    return Similarity(scale, np.eye(3), -scale * points.mean(0))
+    radii = np.array([radius(source), radius(target)])
+    if not config.estimate_scale:
+        radii[:] = np.sqrt(radii.prod())
+    return tuple(
+        Similarity(1.0 / length, np.eye(3), -points.mean(0) / length)
+        for points, length in zip((source, target), radii, strict=True)
+    )
+
+
+def search_range(
+    source: Similarity, target: Similarity, config: ScaleConfig, factor: float, relative: float = 1.0
+) -> tuple[float, float]:
+    """Return the smallest and largest scale to search between the normalised clouds.
+
+    Eq. (1) says 1; its error reaches 42 % (partial overlap, outliers), so scales up to ``factor`` times or by
+    ``1 / relative`` are searched, as far as the bounds of ``config`` allow; where these lie outside, they win.
+    """
+    if not config.estimate_scale:
+        return 1.0, 1.0
+    unit = target.scale / source.scale
+    allowed = config.scale_min * unit, config.scale_max * unit
+    low, high = max(allowed[0], 1.0 / (relative * factor)), min(allowed[1], factor / relative)
+    return (low, high) if low < high else allowed

@@ -1,18 +1,18 @@
-"""Step 2 for one cloud: its surface, its supervoxels and what describes them (Sec. III-B)."""
+"""Steps 2 and 3 for one cloud: its surface, its supervoxels, their graph and what describes them (Sec. III-B, C)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from csgm_ros import local_features
+from csgm_ros import descriptors, graph, local_features
 from csgm_ros.config import Config
+from csgm_ros.errors import DegenerateCloudError
 from csgm_ros.supervoxels import segment
-from csgm_ros.types import PreparedCloud, Similarity, Supervoxels
+from csgm_ros.types import PreparedCloud, Similarity, StructureGraph, Supervoxels
 
-FEATURES_PER_NODE = 3  # the features nearest to a node that are averaged to describe it
+ESF_UNIT, FPFH_UNIT = 0.05, 50.0  # typical distances between unlike nodes: brings both to the same weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +23,8 @@ class Structure:
     ----------
     surface : PreparedCloud
         The voxels that the supervoxels were grown from.
-    supervoxels : Supervoxels
-        Macro structure.
+    graph : StructureGraph
+        Supervoxels as nodes, their neighbourhood as edges.
     keypoints : PreparedCloud
         Coarser voxels that carry local features.
     features : (k, 33) ndarray
@@ -32,19 +32,18 @@ class Structure:
     """
 
     surface: PreparedCloud
-    supervoxels: Supervoxels
+    graph: StructureGraph
     keypoints: PreparedCloud
     features: np.ndarray
 
-    @property
-    def node_features(self) -> np.ndarray:
-        """(n, 33) FPFH of the surroundings of every supervoxel."""
-        count = min(FEATURES_PER_NODE, len(self.features))
-        _, near = cKDTree(self.keypoints.points).query(self.supervoxels.centroids, k=count)
-        return self.features[near.reshape(len(near), count)].mean(1)
 
-
-def extract(points: np.ndarray, normalization: Similarity, config: Config, relative: float = 1.0) -> Structure:
+def extract(
+    points: np.ndarray,
+    normalization: Similarity,
+    config: Config,
+    rng: np.random.Generator,
+    relative: float = 1.0,
+) -> Structure:
     """Extract the structure of a cloud.
 
     Parameters
@@ -53,14 +52,16 @@ def extract(points: np.ndarray, normalization: Similarity, config: Config, relat
         Finite points in the cloud's own unit.
     normalization : Similarity
         Own unit to radius 1.
+    rng : numpy.random.Generator
+        Draws the samples of ESF.
     relative : float, optional
-        Factor on every length: what the other cloud's radius measures in this one's when Eq. (1) is wrong.
+        Factor on every length, for clouds between which Eq. (1) is far off.
     """
     part = config.supervoxels
     cut = segment(
         normalization.apply(points),
-        part.voxel_size,
-        part.seed_size,
+        part.voxel_size * relative,
+        part.seed_size * relative,
         spatial_weight=part.spatial_weight,
         normal_weight=part.normal_weight,
         refinements=part.refinements,
@@ -70,4 +71,34 @@ def extract(points: np.ndarray, normalization: Similarity, config: Config, relat
     surface = PreparedCloud(cut.voxel_points, normals, normalization)
     radius = config.hypotheses.feature_radius * relative
     keypoints = local_features.keypoints(surface, radius * local_features.SPACING)
-    return Structure(surface, cut, keypoints, local_features.fpfh(keypoints, radius))
+    features = local_features.fpfh(keypoints, radius)
+    described = _describe(cut, surface, config, rng, relative)
+    return Structure(surface, _graph(cut, described, config), keypoints, features)
+
+
+def _describe(cut: Supervoxels, surface: PreparedCloud, config: Config, rng: np.random.Generator, relative: float):
+    """Describe each node by the ESF of its supervoxel, or by ESF and FPFH of its surroundings.
+
+    The paper takes the ESF of the bare supervoxel, which is at chance: the cut differs between two clouds, and so
+    does what one supervoxel holds. Its surroundings stay.
+    """
+    part = config.descriptors
+    if part.kind == 'esf':
+        starts, members = descriptors.members_of(cut.voxel_labels, len(cut))
+        return descriptors.esf_of_groups(cut.voxel_points, starts, members, rng, part.esf_samples, config.threads)
+    radius = part.context_radius * config.supervoxels.seed_size * relative
+    esf, fpfh = descriptors.context(
+        surface.points, surface.normals, cut.centroids, radius, rng, part.esf_samples, config.threads
+    )
+    return np.column_stack([esf / ESF_UNIT, fpfh / FPFH_UNIT])
+
+
+def _graph(cut: Supervoxels, described: np.ndarray, config: Config) -> StructureGraph:
+    if len(cut) < 3:
+        raise DegenerateCloudError(
+            f'only {len(cut)} supervoxels: the cloud is too small for its noise, or supervoxels.seed_size '
+            f'({config.supervoxels.seed_size} of the radius) is too large'
+        )
+    part = config.graph
+    edges = cut.adjacency if part.edges == 'adjacency' else graph.neighbor_edges(cut.centroids, part.neighbors)
+    return graph.build_graph(cut.centroids, cut.normals, described, edges, part.edge_descriptor)

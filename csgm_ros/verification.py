@@ -1,4 +1,4 @@
-"""Which of many candidate transforms is right, and is it right at all (Sec. III-E, extended).
+"""Scores for thousands of candidate transforms (Sec. III-E, extended).
 
 The paper trusts one transform from RANSAC and ICP. Here every hypothesis is scored by how well the source lies
 on the target *and* the target on the source, and the smaller of the two counts: a one-sided score, or the sum,
@@ -7,15 +7,10 @@ prefers shrunken solutions. Points must agree in place and in normal, and a clos
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numba
 import numpy as np
-from scipy.spatial import cKDTree
 
-from csgm_ros.config import VerificationConfig
 from csgm_ros.nearest import NearestGrid, lookup
-from csgm_ros.types import PreparedCloud, Similarity, Verdict
 
 
 def scores(
@@ -124,87 +119,3 @@ def best_distinct(
         if len(kept) == count:
             break
     return np.array(kept, int)
-
-
-@dataclass(frozen=True)
-class Fit:
-    """How two clouds lie on each other under one transform, with exact nearest points.
-
-    Attributes
-    ----------
-    fitness_source, fitness_target : float
-        Share of either side within the inlier distance of the other, normals agreeing.
-    closeness : float
-        The smaller side's mean closeness, 1 at distance 0 and 0 at the inlier distance.
-    rmse : float
-        RMS distance of the inliers of both sides, target units.
-    """
-
-    fitness_source: float
-    fitness_target: float
-    closeness: float
-    rmse: float
-
-
-class Judge:
-    """Measures transforms on two finely sampled clouds and passes the verdict."""
-
-    def __init__(
-        self, source: PreparedCloud, target: PreparedCloud, config: VerificationConfig, rng: np.random.Generator
-    ):
-        self._source, self._target, self._config = source, target, config
-        self._trees = cKDTree(source.points), cKDTree(target.points)
-        self._samples = [rng.permutation(len(cloud.points))[: config.fine_samples] for cloud in (source, target)]
-        self._min_cosine = np.cos(np.radians(config.max_normal_angle))
-
-    def fit(self, transform: Similarity) -> Fit:
-        """Measure one transform between the prepared clouds."""
-        forth = self._one_side(transform, self._source, self._target, self._trees[1], self._samples[0])
-        back = self._one_side(transform.inverse(), self._target, self._source, self._trees[0], self._samples[1])
-        back = back * transform.scale
-        gate = self._config.inlier_distance
-        inliers = np.concatenate([forth[forth < gate], back[back < gate]])
-        return Fit(
-            float((forth < gate).mean()),
-            float((back < gate).mean()),
-            float(min(np.clip(1.0 - side / gate, 0.0, None).mean() for side in (forth, back))),
-            float(np.sqrt((inliers**2).mean())) if len(inliers) else float('inf'),
-        )
-
-    def _one_side(self, transform, moving, fixed, tree, chosen):
-        # distance to the nearest point, infinite where the normals disagree
-        distance, nearest = tree.query(transform.apply(moving.points[chosen]), workers=-1)
-        turned = moving.normals[chosen] @ transform.rotation.T
-        agree = np.abs((turned * fixed.normals[nearest]).sum(1)) >= self._min_cosine
-        return np.where(agree, distance, np.inf)
-
-    def verdict(self, fit: Fit, rivals: list[float], radius: float) -> Verdict:
-        """Accept or reject a measured transform.
-
-        Parameters
-        ----------
-        fit : Fit
-            Of the winner.
-        rivals : list of float
-            Closeness of every *different* hypothesis.
-        radius : float
-            Of the target, in its own unit, for the RMSE.
-        """
-        smaller = min(fit.fitness_source, fit.fitness_target)
-        margin = fit.closeness / max(max(rivals), 1e-9) if rivals else float('inf')
-        accepted, reason = self._decide(smaller, margin)
-        return Verdict(accepted, reason, fit.fitness_source, fit.fitness_target, fit.rmse * radius, float(margin))
-
-    def _decide(self, smaller: float, margin: float) -> tuple[bool, str]:
-        config = self._config
-        if smaller < config.min_fitness:
-            return False, (
-                f'too little overlap: only {smaller:.0%} of one cloud lies on the other '
-                f'(at least {config.min_fitness:.0%} is asked for)'
-            )
-        if margin < config.min_margin:
-            return False, (
-                f'ambiguous: a different transform fits almost as well (margin {margin:.2f}, at least '
-                f'{config.min_margin:.2f} is asked for); the scene may be symmetric or flat'
-            )
-        return True, f'{smaller:.0%} of the smaller side fits, {margin:.2f} times as well as any different transform'
