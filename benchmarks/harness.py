@@ -33,11 +33,12 @@ Row = dict[str, object]
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One pair to run, and the setting that it stands for in a table (such as a view separation)."""
+    """One pair to run, the setting that it stands for in a table (a view separation, say), and what peers are told."""
 
     setting: str
     make: Callable[[], Pair]
     rigid: bool = False
+    voxel: float = peers.VOXEL
 
 
 def parser(description: str, methods: Sequence[str]) -> argparse.ArgumentParser:
@@ -94,7 +95,7 @@ def parsed_changes(items: Sequence[str]) -> dict[str, object]:
     return changes
 
 
-def run(method: str, pair: Pair, seed: int, *, rigid: bool = False, config=None) -> Row:
+def run(method: str, pair: Pair, seed: int, *, rigid: bool = False, voxel: float = peers.VOXEL, config=None) -> Row:
     """Run one method on one pair and return everything measured, whatever happens.
 
     A method that raises counts as one that found nothing: its errors are infinite and ``reason`` says why.
@@ -116,7 +117,7 @@ def run(method: str, pair: Pair, seed: int, *, rigid: bool = False, config=None)
                 'margin': result.verdict.margin,
             }
         else:
-            estimate = peers.register(method, pair.source, pair.target, seed, rigid=rigid)
+            estimate = peers.register(method, pair.source, pair.target, seed, rigid=rigid, voxel=voxel)
     except Exception as error:  # a peer may raise anything, and one failure must not end a long run
         if config is not None and not isinstance(error, CsgmError):
             raise  # a defect of the product is no result
@@ -162,7 +163,7 @@ def run_all(name: str, cases: Sequence[Case], options: argparse.Namespace, confi
             if ours and config is None:
                 config = product_config(method, changes, rigid=case.rigid)
             row = {'setting': case.setting, 'pair': pair.name, 'method': method}
-            row |= run(method, pair, 0, rigid=case.rigid, config=config)
+            row |= run(method, pair, 0, rigid=case.rigid, voxel=case.voxel, config=config)
             rows.append(row)
             _append(path, row)
         last = rows[-len(methods) :]

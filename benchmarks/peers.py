@@ -27,7 +27,8 @@ CPD_POINTS = JRMPC_POINTS = 1000
 JRMPC_CENTRES = 250
 """Components of the mixture of JR-MPC."""
 
-Method = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
+Method = Callable[[np.ndarray, np.ndarray, int, float], np.ndarray]
+"""Normalised source and target, seed, voxel -> (4, 4) transform."""
 
 
 def available() -> tuple[str, ...]:
@@ -37,7 +38,9 @@ def available() -> tuple[str, ...]:
     return tuple(name + suffix for suffix in (('', '+sicp') if have_open3d else ('',)) for name in names)
 
 
-def register(name: str, source: np.ndarray, target: np.ndarray, seed: int, *, rigid: bool = False) -> np.ndarray:
+def register(
+    name: str, source: np.ndarray, target: np.ndarray, seed: int, *, rigid: bool = False, voxel: float = VOXEL
+) -> np.ndarray:
     """Return the (4, 4) similarity from source to target that a peer finds.
 
     Parameters
@@ -50,13 +53,15 @@ def register(name: str, source: np.ndarray, target: np.ndarray, seed: int, *, ri
         Seed of the method's random generator.
     rigid : bool
         The clouds share a unit: both are divided by the target's radius and the scale stays 1.
+    voxel : float
+        Voxel of the methods that match features, share of the radius.
     """
     base, _, refinement = name.partition('+')
     unit_target = radius(target)
     unit_source = unit_target if rigid else radius(source)
     centre_source, centre_target = source.mean(axis=0), target.mean(axis=0)
     source, target = (source - centre_source) / unit_source, (target - centre_target) / unit_target
-    estimate = PEERS[base][1](source, target, seed)
+    estimate = PEERS[base][1](source, target, seed, voxel)
     if refinement:
         estimate = scaled_icp(source, target, estimate, with_scaling=not rigid)
     into = similarity(1 / unit_source, np.eye(3), -centre_source / unit_source)
@@ -84,25 +89,25 @@ def _cloud(points: np.ndarray, voxel: float):
     return cloud.voxel_down_sample(voxel)
 
 
-def _features(points: np.ndarray):
+def _features(points: np.ndarray, voxel: float):
     """Voxel-thinned cloud and its FPFH; normals point towards the centroid, without which FPFH is arbitrary."""
     import open3d
 
-    cloud = _cloud(points, VOXEL)
-    cloud.estimate_normals(open3d.geometry.KDTreeSearchParamHybrid(2 * VOXEL, 30))
+    cloud = _cloud(points, voxel)
+    cloud.estimate_normals(open3d.geometry.KDTreeSearchParamHybrid(2 * voxel, 30))
     cloud.orient_normals_towards_camera_location(np.zeros(3))
-    search = open3d.geometry.KDTreeSearchParamHybrid(5 * VOXEL, 100)
+    search = open3d.geometry.KDTreeSearchParamHybrid(5 * voxel, 100)
     return cloud, open3d.pipelines.registration.compute_fpfh_feature(cloud, search)
 
 
-def _fgr(source: np.ndarray, target: np.ndarray, seed: int) -> np.ndarray:
+def _fgr(source: np.ndarray, target: np.ndarray, seed: int, voxel: float) -> np.ndarray:
     import open3d
     from open3d.pipelines import registration
 
     open3d.utility.random.seed(seed)
-    source, source_features = _features(source)
-    target, target_features = _features(target)
-    option = registration.FastGlobalRegistrationOption(maximum_correspondence_distance=1.5 * VOXEL)
+    source, source_features = _features(source, voxel)
+    target, target_features = _features(target, voxel)
+    option = registration.FastGlobalRegistrationOption(maximum_correspondence_distance=1.5 * voxel)
     result = registration.registration_fgr_based_on_feature_matching(
         source, target, source_features, target_features, option
     )
@@ -110,14 +115,14 @@ def _fgr(source: np.ndarray, target: np.ndarray, seed: int) -> np.ndarray:
 
 
 def _ransac(with_scaling: bool) -> Method:
-    def method(source: np.ndarray, target: np.ndarray, seed: int) -> np.ndarray:
+    def method(source: np.ndarray, target: np.ndarray, seed: int, voxel: float) -> np.ndarray:
         import open3d
         from open3d.pipelines import registration
 
         open3d.utility.random.seed(seed)
-        source, source_features = _features(source)
-        target, target_features = _features(target)
-        checkers = [registration.CorrespondenceCheckerBasedOnDistance(1.5 * VOXEL)]
+        source, source_features = _features(source, voxel)
+        target, target_features = _features(target, voxel)
+        checkers = [registration.CorrespondenceCheckerBasedOnDistance(1.5 * voxel)]
         if not with_scaling:
             checkers.append(registration.CorrespondenceCheckerBasedOnEdgeLength(0.9))
         result = registration.registration_ransac_based_on_feature_matching(
@@ -126,7 +131,7 @@ def _ransac(with_scaling: bool) -> Method:
             source_features,
             target_features,
             True,
-            1.5 * VOXEL,
+            1.5 * voxel,
             registration.TransformationEstimationPointToPoint(with_scaling),
             3,
             checkers,
@@ -137,23 +142,23 @@ def _ransac(with_scaling: bool) -> Method:
     return method
 
 
-def _kiss_matcher(source: np.ndarray, target: np.ndarray, seed: int) -> np.ndarray:
+def _kiss_matcher(source: np.ndarray, target: np.ndarray, seed: int, voxel: float) -> np.ndarray:
     import kiss_matcher
 
-    matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(VOXEL))
+    matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(voxel))
     solution = matcher.estimate(source.astype(np.float32), target.astype(np.float32))
     return similarity(1.0, np.array(solution.rotation), np.array(solution.translation).ravel())
 
 
-def _teaser(source: np.ndarray, target: np.ndarray, seed: int) -> np.ndarray:
+def _teaser(source: np.ndarray, target: np.ndarray, seed: int, voxel: float) -> np.ndarray:
     import teaserpp_python
     from open3d.pipelines import registration
 
-    source, source_features = _features(source)
-    target, target_features = _features(target)
+    source, source_features = _features(source, voxel)
+    target, target_features = _features(target, voxel)
     matches = np.asarray(registration.correspondences_from_features(source_features, target_features, True))
     parameters = teaserpp_python.RobustRegistrationSolver.Params()
-    parameters.noise_bound = VOXEL
+    parameters.noise_bound = voxel
     parameters.estimate_scaling = False
     solver = teaserpp_python.RobustRegistrationSolver(parameters)
     solver.solve(np.asarray(source.points)[matches[:, 0]].T, np.asarray(target.points)[matches[:, 1]].T)
@@ -161,7 +166,7 @@ def _teaser(source: np.ndarray, target: np.ndarray, seed: int) -> np.ndarray:
     return similarity(1.0, np.array(solution.rotation), np.array(solution.translation).ravel())
 
 
-def _icp(source: np.ndarray, target: np.ndarray, seed: int) -> np.ndarray:
+def _icp(source: np.ndarray, target: np.ndarray, seed: int, voxel: float) -> np.ndarray:
     from open3d.pipelines import registration
 
     criteria = registration.ICPConvergenceCriteria(1e-7, 1e-7, 100)
@@ -170,7 +175,7 @@ def _icp(source: np.ndarray, target: np.ndarray, seed: int) -> np.ndarray:
     return np.array(registration.registration_icp(*clouds, 0.3, np.eye(4), estimation, criteria).transformation)
 
 
-def _small_gicp(source: np.ndarray, target: np.ndarray, seed: int) -> np.ndarray:
+def _small_gicp(source: np.ndarray, target: np.ndarray, seed: int, voxel: float) -> np.ndarray:
     import small_gicp
 
     result = small_gicp.align(
@@ -185,7 +190,7 @@ def _few(points: np.ndarray, count: int, seed: int) -> np.ndarray:
     return points[np.random.default_rng(seed).choice(len(points), count, replace=False)]
 
 
-def _cpd(source: np.ndarray, target: np.ndarray, seed: int) -> np.ndarray:
+def _cpd(source: np.ndarray, target: np.ndarray, seed: int, voxel: float) -> np.ndarray:
     from pycpd import RigidRegistration
 
     clouds = _few(target, CPD_POINTS, seed), _few(source, CPD_POINTS, seed)
@@ -194,7 +199,7 @@ def _cpd(source: np.ndarray, target: np.ndarray, seed: int) -> np.ndarray:
     return similarity(float(scale), rotation.T, translation.ravel())
 
 
-def _jrmpc(source: np.ndarray, target: np.ndarray, seed: int) -> np.ndarray:
+def _jrmpc(source: np.ndarray, target: np.ndarray, seed: int, voxel: float) -> np.ndarray:
     import jrmpc
 
     rng = np.random.default_rng(seed)
