@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -37,8 +38,9 @@ def scanned_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in (folder / 'data' / 'meshes').glob('*.npz'))) if folder else ()
 
 
+@lru_cache(maxsize=32)
 def load(name: str) -> Mesh:
-    """Return a mesh by name: a scanned one, or a sculpture such as ``machine7`` (family and seed).
+    """Return a mesh by name: a scanned one, or a sculpture such as ``machine7`` (family and seed). Do not change it.
 
     Raises
     ------
