@@ -5,14 +5,20 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from csgm_ros.voxels import VoxelGrid, axes_of
+from csgm_ros.normals import axes_of
+from csgm_ros.voxels import VoxelGrid
 
 # Rings of voxels that the flow may grow, in seed spacings.
 REACH = 1.8
 
 
 def flow(
-    grid: VoxelGrid, axes: np.ndarray, seeds: np.ndarray, spacing: float, weights: tuple[float, float]
+    grid: VoxelGrid,
+    axes: np.ndarray,
+    seeds: np.ndarray,
+    start: tuple[np.ndarray, np.ndarray],
+    spacing: float,
+    weights: tuple[float, float],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Grow (n,) seed voxels into supervoxels.
 
@@ -24,6 +30,8 @@ def flow(
         Their unsigned unit normals, zeros where undefined.
     seeds : (n,) int ndarray
         Distinct voxels.
+    start : (n, 3), (n, 3) ndarray
+        Positions and axes that stand for the supervoxels in the first ring.
     spacing : float
         Seed spacing in voxels.
     weights : (float, float)
@@ -38,47 +46,35 @@ def flow(
     """
     labels = np.full(len(grid.keys), -1, np.int32)
     labels[seeds] = np.arange(len(seeds))
+    least = np.full(len(grid.keys), np.inf)
+    least[seeds] = 0  # no D is smaller: they stay
+    centers, center_axes = start
     for _ in range(max(1, int(REACH * spacing) - 1)):
-        centers, center_axes = _means(grid.centroids, axes, labels, len(seeds))
-        grown = _ring(labels, grid.centroids, axes, grid.starts, grid.neighbors, centers, center_axes, *weights)
-        grown[seeds] = np.arange(len(seeds))
+        grown = _ring(labels, least, grid.centroids, axes, grid.starts, grid.neighbors, centers, center_axes, *weights)
+        centers, center_axes = _means(grid.centroids, axes, grown, len(seeds))
         if np.array_equal(grown, labels):
             break
         labels = grown
-    return labels, *_means(grid.centroids, axes, labels, len(seeds))
+    return labels, centers, center_axes
 
 
 @njit(cache=True, nogil=True)
-def _ring(labels, centroids, axes, starts, neighbors, centers, center_axes, normal_weight, spatial_weight):
-    """Return the labels after each voxel chose among its own supervoxel and those that touch it."""
+def _ring(labels, least, centroids, axes, starts, neighbors, centers, center_axes, normal_weight, spatial_weight):
+    """Return the labels after every supervoxel took what it touches; lower ``least``, the voxels' D when taken."""
     grown = labels.copy()
     for v in range(len(labels)):
-        own, chosen, least = labels[v], labels[v], -1.0
         for e in range(starts[v], starts[v + 1]):
             label = labels[neighbors[e]]
-            if label < 0 or label in (own, chosen):
+            if label < 0 or label in (labels[v], grown[v]):
                 continue
-            if least < 0:  # contested: only now is the distance to its own centre needed
-                least = np.inf
-                if own >= 0:
-                    least = _distance(
-                        centroids[v], axes[v], centers[own], center_axes[own], normal_weight, spatial_weight
-                    )
-            distance = _distance(
-                centroids[v], axes[v], centers[label], center_axes[label], normal_weight, spatial_weight
-            )
-            if distance < least:
-                chosen, least = label, distance
-        grown[v] = chosen
+            cosine = distance = 0.0
+            for k in range(3):
+                cosine += axes[v, k] * center_axes[label, k]
+                distance += (centroids[v, k] - centers[label, k]) ** 2
+            cost = normal_weight * (1 - abs(cosine)) + spatial_weight * np.sqrt(distance)
+            if cost < least[v]:
+                grown[v], least[v] = label, cost
     return grown
-
-
-@njit(cache=True, nogil=True)
-def _distance(x, n, center, axis, normal_weight, spatial_weight):
-    """Return D of a voxel to a supervoxel."""
-    cosine = abs(n[0] * axis[0] + n[1] * axis[1] + n[2] * axis[2])
-    dx, dy, dz = x[0] - center[0], x[1] - center[1], x[2] - center[2]
-    return normal_weight * (1 - cosine) + spatial_weight * np.sqrt(dx * dx + dy * dy + dz * dz)
 
 
 def _means(centroids, axes, labels, count):

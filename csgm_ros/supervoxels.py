@@ -8,18 +8,9 @@ from scipy.spatial import cKDTree
 
 from csgm_ros.errors import DegenerateCloudError, InputError
 from csgm_ros.flow import flow, nearest_to_centers
+from csgm_ros.normals import axes_of, plane_normals, products
 from csgm_ros.types import Supervoxels
-from csgm_ros.voxels import (
-    FIXED,
-    VoxelGrid,
-    axes_of,
-    lattice_origin,
-    occupied,
-    plane_normals,
-    products,
-    unpacked,
-    voxelize,
-)
+from csgm_ros.voxels import FIXED, VoxelGrid, first_in_morton_order, occupied, unpacked, voxelize
 
 # A seed needs this share of the voxels that a plane through it would fill, within half a seed spacing.
 SEED_SUPPORT = 0.05
@@ -37,10 +28,10 @@ def segment(
 ) -> Supervoxels:
     """Cut a cloud into supervoxels: voxel cloud connectivity segmentation (VCCS) by geometry alone.
 
-    Seeds on a lattice grow ring by ring over the 26-neighbourhood of the occupied voxels. In each ring every voxel
-    goes to the supervoxel, of those that touch it, with the smallest
-    ``D = normal_weight (1 - |n_c . n_v|) + spatial_weight |x_c - x_v| / seed_size``;
-    then each supervoxel's centre x_c and normal n_c are averaged anew.
+    Seeds on a lattice grow ring by ring over the 26-neighbourhood of the occupied voxels. In each ring a supervoxel
+    takes the voxels that it touches and for which its
+    ``D = normal_weight (1 - |n_c . n_v|) + spatial_weight |x_c - x_v| / seed_size``
+    is smaller than the D with which they were last taken; then its centre x_c and normal n_c are averaged anew.
 
     Parameters
     ----------
@@ -72,17 +63,15 @@ def segment(
     -----
     Source: Sec. III-B of the paper, after Papon et al. 2013 in the form that PCL gave it (a plain weighted sum, seeds
     that are not moved to a smooth place, no colour). The result follows the cloud through translation, scale and
-    any order of the points; a rotation turns the lattice, hence moves the seeds. What is not as in PCL, and why:
+    any order of the points; a rotation turns the lattices, hence moves the seeds. What is not as in PCL, and why:
 
-    - The voxels' and seeds' lattices are tied to the bounding box, and normals have no sign in the averages. PCL's
-      seeds depend on one voxel, its normals on where the coordinates have their origin.
+    - Normals have no sign in the averages. PCL's depend on where the coordinates have their origin.
     - The first ring uses the seeds as centres. PCL's are still zero then, so that distances to the origin decide.
-    - D of a voxel already taken is that to its supervoxel's present centre, where PCL keeps the one at the time of
-      the claim: supervoxels come out more even in size.
-    - All voxels of a ring choose at once, where PCL's supervoxels choose one after the other: no order matters.
+    - All supervoxels grow a ring at once, where PCL's take turns: their order does not matter.
     - Two seeds never share a voxel, and a seed's voxel stays its own: no supervoxel vanishes.
     - A voxel whose normal is undefined (its support is a line or less) has the largest angle to all, where PCL's
       NaN keeps it out of every supervoxel.
+    - The voxels' lattice is moved by a thousandth of a voxel, see :data:`csgm_ros.voxels.PHASE`.
     """
     points = _checked(points, voxel_size, seed_size)
     grid = voxelize(points, voxel_size)
@@ -94,12 +83,12 @@ def segment(
     else:
         axes = _voxel_axes(_checked_normals(normals, len(points)), grid)
     seeds = _seeds(grid, spacing)
-    labels, centers, center_axes = flow(grid, axes, seeds, spacing, weights)
+    labels, centers, center_axes = flow(grid, axes, seeds, (grid.centroids[seeds], axes[seeds]), spacing, weights)
     for _ in range(refinements):
         if normals is None:
             axes = plane_normals(grid, labels)
         seeds = nearest_to_centers(grid.centroids, labels, centers)
-        labels, centers, center_axes = flow(grid, axes, seeds, spacing, weights)
+        labels, centers, center_axes = flow(grid, axes, seeds, (centers, center_axes), spacing, weights)
     middle = grid.centroids.mean(0)
     return Supervoxels(
         labels=labels[grid.point_voxels],
@@ -157,8 +146,12 @@ def _voxel_axes(normals: np.ndarray, grid: VoxelGrid) -> np.ndarray:
 
 
 def _seeds(grid: VoxelGrid, spacing: float) -> np.ndarray:
-    """Return the distinct voxels nearest to the centres of occupied lattice cells and well enough supported."""
-    origin = lattice_origin(grid.centroids, spacing)
+    """Return the distinct voxels nearest to the centres of occupied lattice cells and well enough supported.
+
+    A corner of the lattice is at the first voxel in Morton order, as in PCL.
+    """
+    corner = grid.centroids[first_in_morton_order(grid.keys)]
+    origin = corner - spacing * (np.ceil((corner - grid.centroids.min(0)) / spacing) + 1)
     cells, _ = occupied(grid.centroids, origin, spacing)
     tree = cKDTree(grid.centroids, balanced_tree=False, compact_nodes=False)
     _, nearest = tree.query(origin + spacing * (unpacked(cells) + 0.5))

@@ -1,4 +1,4 @@
-"""A cloud as a sparse voxel grid: occupied voxels, their 26-neighbourhood and their normals.
+"""A cloud as a sparse voxel grid: occupied voxels and their 26-neighbourhood.
 
 Lengths inside are in voxels and relative to the grid's origin, which is tied to the cloud's bounding box: where
 the coordinates have their origin, in which unit they are and in which order the points come does not matter.
@@ -13,11 +13,10 @@ from numba import njit
 
 from csgm_ros.errors import InputError
 
-# The centre of the bounding box lies at this fraction of a voxel. An irrational one keeps a symmetric cloud's
-# middle plane, and a lattice with any rational spacing, off the voxel faces, where rounding would decide.
-PHASE = (3 - 5**0.5) / 2
+# The centre of the bounding box lies this share of a voxel above a corner. PCL puts it on the corner; but then a
+# symmetric cloud's middle plane, or a fused cloud that is itself a lattice, lies on voxel faces, and rounding decides.
+PHASE = 1e-3
 BITS = 21
-EXTENT_MAX = 2**BITS - 4
 # Sums over a voxel are kept as integers of this resolution: exact, hence independent of the points' order.
 FIXED = 2**30
 
@@ -84,16 +83,17 @@ def lattice_origin(points: np.ndarray, size: float, phase: float = PHASE) -> np.
     InputError
         If the points would need more cells on a side than a key can number.
     """
-    low, high = points.min(0), points.max(0)
+    low, high = _bounds(points)
     extent = (high - low).max()
-    if not extent < EXTENT_MAX * size:
+    # A margin of one cell: the key of a neighbour never runs into the next bit field. A power of two: the Morton
+    # order of the keys does not depend on it.
+    half = 2.0 ** np.ceil(np.log2(extent / (2 * size) + 2))
+    if not half < 2**BITS / 2:
         raise InputError(
             f'a voxel of {size:g} is too small for a cloud {extent:g} long: '
             'choose a larger voxel_size or remove outliers far away'
         )
-    # A margin of one cell: the key of a neighbour never runs into the next bit field.
-    steps = np.ceil((high - low) / (2 * size)) + 1
-    return low / 2 + high / 2 - (steps + phase) * size
+    return low / 2 + high / 2 - (half + phase) * size
 
 
 def occupied(points: np.ndarray, origin: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
@@ -105,9 +105,31 @@ def occupied(points: np.ndarray, origin: np.ndarray, size: float) -> tuple[np.nd
     return met[order], rank[numbers]
 
 
+def first_in_morton_order(keys: np.ndarray) -> int:
+    """Return the index of the key that comes first when octants are visited depth first, x the slowest."""
+    cells = unpacked(keys)
+    left = np.arange(len(keys))
+    for bit in reversed(range(int(cells.max()).bit_length())):
+        for axis in range(3):
+            lower = left[cells[left, axis] >> bit & 1 == 0]
+            left = lower if len(lower) else left
+    return int(left[0])
+
+
 def unpacked(keys: np.ndarray) -> np.ndarray:
     """Return the (k, 3) integer coordinates of (k,) keys."""
     return np.stack((keys >> 2 * BITS, keys >> BITS, keys), axis=1) & (1 << BITS) - 1
+
+
+@njit(cache=True, nogil=True)
+def _bounds(points):
+    """Return the corners of the bounding box; numpy takes ten times as long on rows of three."""
+    low, high = points[0].copy(), points[0].copy()
+    for i in range(len(points)):
+        for k in range(3):
+            low[k] = min(low[k], points[i, k])
+            high[k] = max(high[k], points[i, k])
+    return low, high
 
 
 @njit(cache=True, nogil=True)
@@ -198,79 +220,3 @@ def _adjacency(keys):
                     u += 1
             starts[v + 1] = found
     return starts, neighbors
-
-
-@njit(cache=True, nogil=True)
-def axis_of(xx, xy, xz, yy, yz, zz, largest):
-    """Return the unit eigenvector of a symmetric 3x3 matrix's largest or smallest eigenvalue.
-
-    Closed form; the eigenvalue that is asked for is accurate wherever it is isolated. Zeros where it is not: the
-    direction is undefined then (for a normal: all points on a line).
-    """
-    mean = (xx + yy + zz) / 3
-    a, b, c = xx - mean, yy - mean, zz - mean
-    spread = np.sqrt((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
-    if not spread > 0:
-        return 0.0, 0.0, 0.0
-    determinant = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
-    angle = np.arccos(min(1.0, max(-1.0, determinant / (2 * spread**3)))) / 3
-    value = 2 * spread * np.cos(angle if largest else angle + 2 * np.pi / 3)
-    a, b, c = a - value, b - value, c - value
-    # The eigenvector is orthogonal to every row of the shifted matrix; take the best conditioned cross product.
-    x0, y0, z0 = xy * yz - xz * b, xz * xy - a * yz, a * b - xy * xy
-    x1, y1, z1 = xy * c - xz * yz, xz * xz - a * c, a * yz - xy * xz
-    x2, y2, z2 = b * c - yz * yz, yz * xz - xy * c, xy * yz - b * xz
-    s0, s1, s2 = x0 * x0 + y0 * y0 + z0 * z0, x1 * x1 + y1 * y1 + z1 * z1, x2 * x2 + y2 * y2 + z2 * z2
-    if s1 > s0:
-        x0, y0, z0, s0 = x1, y1, z1, s1
-    if s2 > s0:
-        x0, y0, z0, s0 = x2, y2, z2, s2
-    if not s0 > (1e-6 * spread * spread) ** 2:
-        return 0.0, 0.0, 0.0
-    length = np.sqrt(s0)
-    return x0 / length, y0 / length, z0 / length
-
-
-def plane_normals(grid: VoxelGrid, labels: np.ndarray) -> np.ndarray:
-    """Return the (v, 3) unsigned unit normal of each voxel; zeros where its support is on a line.
-
-    The support is the voxel, its neighbours and their neighbours, with repetitions that weight the middle, as
-    in PCL. Only voxels with the same of the (v,) ``labels`` support each other.
-    """
-    offsets = grid.centroids - grid.centroids.mean(0)
-    own = np.column_stack((np.ones(len(offsets)), offsets, products(offsets)))
-    ring = _with_neighbors(own, grid.starts, grid.neighbors, labels)
-    total = own + ring + _with_neighbors(ring, grid.starts, grid.neighbors, labels)
-    mean = total[:, 1:4] / total[:, :1]
-    covariance = total[:, 4:] / total[:, :1] - products(mean)
-    covariance[covariance[:, [0, 3, 5]].sum(1) < 1e-6] = 0  # a support of one voxel leaves rounding noise
-    return axes_of(covariance, False)
-
-
-def products(vectors: np.ndarray) -> np.ndarray:
-    """Return xx, xy, xz, yy, yz, zz of (k, 3) vectors: their outer products' upper halves, (k, 6)."""
-    x, y, z = vectors.T
-    return np.column_stack((x * x, x * y, x * z, y * y, y * z, z * z))
-
-
-@njit(cache=True, nogil=True)
-def _with_neighbors(values, starts, neighbors, labels):
-    """Return each voxel's row of ``values`` plus those of its neighbours with the same label."""
-    sums = values.copy()
-    for v in range(len(values)):
-        for e in range(starts[v], starts[v + 1]):
-            u = neighbors[e]
-            if labels[u] == labels[v]:
-                for k in range(values.shape[1]):
-                    sums[v, k] += values[u, k]
-    return sums
-
-
-@njit(cache=True, nogil=True)
-def axes_of(matrices, largest):
-    """Return :func:`axis_of` for each row (xx, xy, xz, yy, yz, zz) of a (k, 6) array."""
-    axes = np.empty((len(matrices), 3))
-    for k in range(len(matrices)):
-        m = matrices[k]
-        axes[k, 0], axes[k, 1], axes[k, 2] = axis_of(m[0], m[1], m[2], m[3], m[4], m[5], largest)
-    return axes
