@@ -35,6 +35,7 @@ def before_after(path: str | Path, source: CloudFile, target: CloudFile, transfo
 
     matplotlib.use('Agg')
     from matplotlib import pyplot
+    from PIL import Image
 
     source, target = _finite(source), _finite(target)
     moved = CloudFile(transform.apply(source.points), source.colors)
@@ -49,15 +50,17 @@ def before_after(path: str | Path, source: CloudFile, target: CloudFile, transfo
         ('after, from above', tinted, TOP),
         ('after, in their own colours', [target, moved], oblique),
     ]
-    figure, axes = pyplot.subplots(2, 3, figsize=(15, 9.6), facecolor='white')
+    figure, axes = pyplot.subplots(2, 3, figsize=(15, 9.6), dpi=80, facecolor='white')
     for axis, (title, clouds, view) in zip(axes.ravel(), panels, strict=True):
         axis.imshow(draw(clouds, view), interpolation='lanczos')
         axis.set_title(title, fontsize=12, color='#333333')
         axis.set_axis_off()
     figure.text(0.5, 0.015, caption, ha='center', fontsize=12, color='#333333', family='monospace')
     figure.subplots_adjust(left=0.01, right=0.99, top=0.95, bottom=0.05, wspace=0.02, hspace=0.08)
-    figure.savefig(path, dpi=90, pil_kwargs={'optimize': True})
+    figure.canvas.draw()
+    pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
     pyplot.close(figure)
+    Image.fromarray(pixels).quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 def draw(clouds: list[CloudFile], view: np.ndarray, size: tuple[int, int] = (430, 560)) -> np.ndarray:
