@@ -61,8 +61,8 @@ def client(node):
 
 
 @pytest.fixture
-def active(client):
+def active(node, client):
     """The same client, with the node active."""
-    assert client.configure().success
+    assert client.configure().success, node.log
     assert client.activate().success
     return client

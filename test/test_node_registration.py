@@ -194,8 +194,8 @@ def test_latency_from_trigger_to_latched_result(active, ros):
         started = time.monotonic()
         assert active.register().success
         inbox.wait(count)
-        seconds = float(active.status().values['registration']['seconds'])
-        figures.append((round(time.monotonic() - started, 2), seconds))
+        total = round(time.monotonic() - started, 2)
+        figures.append((total, float(active.status().values['registration']['seconds'])))
     print('(seconds from trigger to latched transform, of which registration):', figures)
     assert len(inbox) == 3
 
@@ -211,7 +211,7 @@ def test_tf_is_sent_again_with_every_result(active, ros):
     assert (first.header.frame_id, first.child_frame_id) == ('camera', 'sfm_metric')
     assert first == ros.listen('/csgm/transform', TransformStamped).wait()
 
-    source, target, truth = easy_pair()
+    source, target, _ = easy_pair()
     moved = Similarity(1.0, np.eye(3), np.array([1.0, 2.0, 3.0])).apply(target)
     kept = send_pair(ros, (source, moved))
     wait_heard(active, 2, 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import dataclass, field
 from typing import Any
@@ -72,7 +73,9 @@ class Client:
     def __enter__(self) -> Client:
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
-        self._node = rclpy.create_node('csgm_client', context=self._context, start_parameter_services=False)
+        self._node = rclpy.create_node(
+            f'csgm_client_{os.getpid()}', context=self._context, start_parameter_services=False, enable_rosout=False
+        )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         kinds = {'change_state': ChangeState, 'get_available_transitions': GetAvailableTransitions}
@@ -196,7 +199,8 @@ class Client:
         answer = self._call('change_state', request, timeout or self.timeout)
         if answer.success:
             return Answer(True, goal)
-        return Answer(False, f'refused while {self.state()}; possible: {", ".join(self.transitions())}')
+        possible = ', '.join(self.transitions())
+        return Answer(False, f'not {goal}: the node is {self.state()}, its log may tell why; possible: {possible}')
 
     def _trigger(self, service: str, timeout: float) -> Answer:
         answer = self._call(service, Trigger.Request(), timeout)

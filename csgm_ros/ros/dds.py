@@ -13,8 +13,9 @@ OTHER_CHOICES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTDDS_BUILTIN_TRANSPORTS')
 BUFFER_BYTES = 4 * 2**20
 BUFFER_LIMIT = Path('/proc/sys/net/core/rmem_max')
 REMEDY = (
-    f'large best-effort clouds need large socket buffers: sudo sysctl -w net.core.rmem_max={BUFFER_BYTES}, and '
-    f'{PROFILE_VARIABLE} set to the fastdds.xml of this package, or a reliable publisher'
+    f'best-effort clouds of several MB are lost where buffers are small: start the publisher with {PROFILE_VARIABLE} '
+    f'set to the fastdds.xml of this package, between machines also sudo sysctl -w net.core.rmem_max={BUFFER_BYTES}; '
+    'or let it publish reliably'
 )
 
 

@@ -37,42 +37,41 @@ class CloudInput:
     delay : float
         Longest time from the arrival of a message to its callback, seconds.
     last_heard : float or None
-        ``time.monotonic()`` of the last usable message.
+        ``time.monotonic()`` of the last message.
     """
 
-    def __init__(self, node: Node, name: str, on_cloud: Callable[[], None]):
-        self._node, self._on_cloud = node, on_cloud
+    def __init__(self, node: Node, name: str, window: Callable[[], int], on_cloud: Callable[[], None]):
+        self._node, self._window, self._on_cloud = node, window, on_cloud
         self.name, self.topic = name, node.resolve_topic_name(name)
         self._overrides = declare_overrides(node, self.topic)
         self._group = MutuallyExclusiveCallbackGroup()
         self._subscriptions: dict[tuple[ReliabilityPolicy, DurabilityPolicy], object] = {}
         self._stale: set[tuple] = set()
-        self._reset(1)
+        self._reset()
 
-    def _reset(self, window: int) -> None:
-        self._messages: deque[PointCloud2] = deque(maxlen=window)
+    def _reset(self) -> None:
+        self._messages: list[PointCloud2] = []
         self._seen: deque[int] = deque(maxlen=64)
         self.heard = self.rejected = 0
         self.delay = 0.0
         self.last_error, self.last_heard, self.opened = '', None, time.monotonic()
         self.problem = ''
 
-    def open(self, window: int) -> None:
-        """Subscribe, and keep the newest ``window`` messages."""
-        self._reset(window)
+    def open(self) -> None:
+        """Subscribe, and keep the newest messages."""
+        self._reset()
         self.follow_offers()
 
     def close(self) -> None:
         """Unsubscribe and forget the clouds."""
         while self._subscriptions:
             self._node.destroy_subscription(self._subscriptions.popitem()[1])
-        self._messages.clear()
+        self._messages = []
 
-    def messages(self, window: int) -> list[PointCloud2]:
-        """Return the newest messages, at most ``window``, oldest first; ``window`` holds from now on."""
-        if window != self._messages.maxlen:
-            self._messages = deque(self._messages, maxlen=window)
-        return list(self._messages)
+    @property
+    def messages(self) -> list[PointCloud2]:
+        """The newest usable messages, oldest first, as many as the window holds."""
+        return self._messages[-self._window() :]
 
     @property
     def requested(self) -> list[QoSProfile]:
@@ -89,8 +88,7 @@ class CloudInput:
     @property
     def explanation(self) -> str:
         """Why there may be no cloud, for whoever asks for a registration."""
-        unusable = f'last message unusable: {self.last_error}' if self.last_error else 'nothing heard'
-        return self.problem or unusable
+        return f'last message unusable: {self.last_error}' if self.last_error else self.problem or 'nothing heard'
 
     def watch(self, timeout: float) -> None:
         """Adapt to the publishers, and log when the input falls silent for ``timeout`` seconds or speaks again."""
@@ -135,6 +133,7 @@ class CloudInput:
             return  # the same message through the other subscription
         self._seen.append(stamp)
         self.heard += 1
+        self.last_heard = time.monotonic()
         self.delay = max(self.delay, (time.time_ns() - info['received_timestamp']) / 1e9)
         try:
             check_layout(message)
@@ -144,6 +143,5 @@ class CloudInput:
                 self._node.get_logger().warning(f'unusable message on {self.topic}: {error}')
             self.last_error = str(error)
             return
-        self.last_heard = time.monotonic()
-        self._messages.append(message)
+        self._messages = [*self.messages, message][-self._window() :]  # a new list: the worker may hold the old one
         self._on_cloud()

@@ -6,6 +6,7 @@ import functools
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
@@ -35,7 +36,8 @@ class CsgmNode(SafeLifecycleNode):
         super().__init__('csgm', **kwargs)
         self._settings = Parameters(self)
         self._registration = Registration(self, self._publish)
-        self._source, self._target = (CloudInput(self, name, self._on_cloud) for name in ('source', 'target'))
+        windows = {name: functools.partial(self._setting, f'{name}_window') for name in ('source', 'target')}
+        self._source, self._target = (CloudInput(self, *item, self._on_cloud) for item in windows.items())
         self._inputs = [self._source, self._target]
         self._outputs: Outputs | None = None
         self._static_transform, self._frames = StaticTransform(self), Frames(self)
@@ -50,6 +52,9 @@ class CsgmNode(SafeLifecycleNode):
         if self._settings.node_config.autostart:
             self._autostart = self.create_timer(0.0, guarded(self._on_autostart, self), clock=steady)
 
+    def _setting(self, name: str) -> Any:
+        return getattr(self._settings.node_config, name)
+
     # Lifecycle
 
     @transition(FAILURE, undo='_release')
@@ -57,6 +62,7 @@ class CsgmNode(SafeLifecycleNode):
         """Create the outputs and compile the kernels; to inactive, or back to unconfigured on FAILURE."""
         self.get_logger().info('configuring: compiling and loading the kernels, the first time takes a minute')
         warm_up_once()
+        self._registration.forget()
         self._outputs = Outputs(self)
         self.get_logger().info(f'configured, profile {self._settings.config.profile}')
         return super().on_configure(state)
@@ -68,8 +74,8 @@ class CsgmNode(SafeLifecycleNode):
         settings, self._paired = self._settings.node_config, None
         if settings.fixed_frame:
             self._frames.listen()
-        self._source.open(settings.source_window)
-        self._target.open(settings.target_window)
+        self._source.open()
+        self._target.open()
         topics = f'source {self._source.topic}, target {self._target.topic}'
         self.get_logger().info(f'active: {topics}, trigger {settings.trigger}')
         return SUCCESS
@@ -130,7 +136,7 @@ class CsgmNode(SafeLifecycleNode):
         if self.state != 'active':
             return f'the node is {self.state}; configure and activate it first'
         settings, config = self._settings.node_config, self._settings.config
-        source, target = self._source.messages(settings.source_window), self._target.messages(settings.target_window)
+        source, target = self._source.messages, self._target.messages
         for cloud_input, messages in ((self._source, source), (self._target, target)):
             if not messages:
                 return f'no cloud on {cloud_input.topic} yet ({cloud_input.explanation})'

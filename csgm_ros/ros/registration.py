@@ -59,6 +59,10 @@ class Registration:
     def __init__(self, node: Node, publish: Callable[[Outcome], None]):
         self._node, self._publish = node, publish
         self._worker = Worker()
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget what was registered so far."""
         self.accepted = self.rejected = self.failed = 0
         self.last: dict[str, Any] = {}
         self.level, self.text = DiagnosticStatus.OK, 'no registration yet'

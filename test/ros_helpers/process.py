@@ -16,6 +16,8 @@ ROOT = Path(__file__).parents[2]
 class Process:
     """A Python process with its output in a file."""
 
+    ROOT = ROOT
+
     def __init__(self, *arguments, env=None):
         self._log = tempfile.NamedTemporaryFile('w+', suffix='.log')  # noqa: SIM115 - closed by close()
         paths = [str(ROOT), str(ROOT / 'test'), os.environ.get('PYTHONPATH', '')]
