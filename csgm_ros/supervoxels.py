@@ -131,7 +131,7 @@ def _checked_normals(normals: np.ndarray, count: int) -> np.ndarray:
 def _check_spread(grid: VoxelGrid, count: int) -> None:
     """Raise if the voxels lie in one place or on one line."""
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(grid.centroids.T, bias=True)), 0))
-    if len(grid.keys) < 3 or not spread[1] > 1e-6 * spread[2]:
+    if np.ptp(grid.centroids, axis=0).max() < 1 or not spread[1] > 1e-6 * spread[2]:
         raise DegenerateCloudError(
             f'the {count} points fill {len(grid.keys)} voxels of {grid.size:g}, in one place or on one line: '
             'supervoxels need a surface; check the cloud and its unit, or choose a smaller voxel_size'
@@ -151,7 +151,8 @@ def _seeds(grid: VoxelGrid, spacing: float) -> np.ndarray:
     A corner of the lattice is at the first voxel in Morton order, as in PCL.
     """
     corner = grid.centroids[first_in_morton_order(grid.keys)]
-    origin = corner - spacing * (np.ceil((corner - grid.centroids.min(0)) / spacing) + 1)
+    # That voxel belongs above the corner, whatever the rounding.
+    origin = corner - spacing * (np.ceil((corner - grid.centroids.min(0)) / spacing) + 1 + 1e-6)
     cells, _ = occupied(grid.centroids, origin, spacing)
     tree = cKDTree(grid.centroids, balanced_tree=False, compact_nodes=False)
     _, nearest = tree.query(origin + spacing * (unpacked(cells) + 0.5))
