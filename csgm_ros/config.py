@@ -148,7 +148,7 @@ class MatchingConfig(Checked):
         0.1, 'weight of J_smooth, Eq. (8); 0 turns it off, 1 is the paper', low=0.0, high=100.0
     )
     search_effort: float = param(
-        8.0, 'work of the search after the path; 0 turns it off', unit='million operations', low=0.0, high=1e6
+        20.0, 'most work of the search after the path; 0 turns it off', unit='million operations', low=0.0, high=1e6
     )
 
 
