@@ -67,13 +67,16 @@ def summary(rows: list[harness.Row]) -> str:
     ]
     for setting, runs in tables.grouped(rows, 'setting').items():
         parts += [f'{setting.capitalize()}:', _table(runs)]
-    wrong = [row for row in rows if str(row['method']) in harness.OURS and not int(row['right_loose'])]
+    own = [row for row in rows if row['method'] in harness.OURS]
+    wrong = [row for row in own if not int(row['right_loose'])]
     lines = [
         f'- {row["method"]}, {row["pair"]}: {"accepted" if int(row["accepted"]) else "rejected"}, '
         f'{100 * float(row["mean"]):.0f} cm, {float(row["rotation"]):.1f} degrees ({row["reason"]})'
         for row in wrong
     ]
-    return '\n\n'.join([*parts, 'Not right:\n' + '\n'.join(lines) if lines else 'The product is right on every pair.'])
+    if own:
+        parts.append('Not right:\n' + '\n'.join(lines) if lines else 'The product is right on every pair.')
+    return '\n\n'.join(parts)
 
 
 def _table(rows: list[harness.Row]) -> str:

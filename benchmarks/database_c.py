@@ -56,9 +56,10 @@ def summary(rows: list[harness.Row], seeds: list[int]) -> str:
     if len(groups) > 1:
         for setting, runs in groups.items():
             parts += [f'Only the {setting} meshes:', tables.method_table(runs)]
-    ours = [row for row in rows if row['method'] == 'csgm' and not int(row['right_tight'])]
-    missed = ', '.join(f'{row["pair"]} (RMSE/r {float(row["rmse"]):.3f})' for row in ours)
-    parts.append(f'Pairs that `csgm` does not solve within 0.02: {missed or "none"}.')
+    ours = [row for row in rows if row['method'] == 'csgm']
+    if ours:
+        missed = [f'{row["pair"]} (RMSE/r {float(row["rmse"]):.3f})' for row in ours if not int(row['right_tight'])]
+        parts.append(f'Pairs that `csgm` does not solve within 0.02: {", ".join(missed) or "none"}.')
     return '\n\n'.join(parts)
 
 

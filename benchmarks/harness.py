@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import meshes, metrics, peers
-from benchmarks.datasets import Pair
+from benchmarks.datasets import Pair, apply
 from csgm_ros.errors import CsgmError
 
 FOLDER = Path(__file__).resolve().parent
@@ -100,7 +100,8 @@ def run(method: str, pair: Pair, seed: int, *, rigid: bool = False, voxel: float
 
     A method that raises counts as one that found nothing: its errors are infinite and ``reason`` says why.
     """
-    row: Row = {'accepted': '', 'reason': '', 'fitness_source': '', 'fitness_target': '', 'margin': ''}
+    names = ('accepted', 'reason', 'fitness_source', 'fitness_target', 'margin', 'matches', 'matches_right')
+    row: Row = dict.fromkeys(names, '')
     estimate = np.full((4, 4), np.nan)
     wall, cpu = time.perf_counter(), time.process_time()
     try:
@@ -116,6 +117,7 @@ def run(method: str, pair: Pair, seed: int, *, rigid: bool = False, voxel: float
                 'fitness_target': result.fitness_target,
                 'margin': result.verdict.margin,
             }
+            row |= _matches(result, pair)
         else:
             estimate = peers.register(method, pair.source, pair.target, seed, rigid=rigid, voxel=voxel)
     except Exception as error:  # a peer may raise anything, and one failure must not end a long run
@@ -128,6 +130,16 @@ def run(method: str, pair: Pair, seed: int, *, rigid: bool = False, voxel: float
     row |= {f'right_{name}': int(metrics.right(estimate, pair, bound)) for name, bound in BOUNDS.items()}
     row['right_3dcsr'] = int(pair.T_target_source is not None and threedcsr(row))
     return row
+
+
+def _matches(result, pair: Pair) -> Row:
+    """Count the matched nodes, and those that the truth brings within a tenth of the target's radius."""
+    if pair.T_target_source is None or result.source_graph is None:
+        return {}
+    source = result.source_graph.nodes[result.matches[:, 0]]
+    target = result.target_graph.nodes[result.matches[:, 1]]
+    distance = np.linalg.norm(apply(pair.T_target_source, source) - target, axis=1)
+    return {'matches': len(distance), 'matches_right': int((distance < 0.1 * metrics.radius(pair.target)).sum())}
 
 
 BOUNDS = {'loose': metrics.LOOSE, 'tight': metrics.TIGHT}
