@@ -292,6 +292,7 @@ class NodeConfig(Checked):
     window_voxel: float = param(
         0.002, 'edge of the voxels in which merged messages are averaged', unit=RADIUS, low=0.0, high=0.1
     )
+    diagnostics_period: float = param(1.0, 'time between two messages on /diagnostics', unit='s', low=0.05, high=60.0)
     input_timeout: float = param(
         5.0, 'silence of an input after which the node warns and names the remedy', unit='s', low=0.5, high=3600.0
     )

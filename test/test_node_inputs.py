@@ -30,7 +30,7 @@ def sensors():
 
     yield start
     for process in started:
-        process.kill()
+        process.end()
 
 
 def cloud(points=None):
@@ -181,7 +181,7 @@ def test_large_best_effort_clouds_arrive_with_the_shipped_profile(active, sensor
         sensor.wait_log('"sent"')
         arrived = settled(lambda before=before: heard(active, 'source') - before)
         figures[name] = f'{arrived} of 50 heard'
-        sensor.kill()
+        sensor.end()
     delay = active.status().values['source']['longest delay ms']
     print('5.1 MB best effort at 10 Hz, by the transports of the sensor:', figures, f'longest delay {delay} ms')
     assert arrived >= 40
@@ -227,6 +227,7 @@ def test_windows_merge_the_newest_messages(active, ros):
     assert active.set_parameters({'target_window': 3, 'window_voxel': 0.0}).success
     source, target, _ = easy_pair()
     kept = send_pair(ros, (source, target[:100]))
+    wait_heard(active)
     publisher = ros.publisher('/target')
     until(publisher.get_subscription_count, 'a subscription')
     for count, part in enumerate((target[0::3], target[1::3], target[2::3]), start=2):

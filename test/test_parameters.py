@@ -47,7 +47,7 @@ def test_parameters_are_the_configuration(declared, name):
             described = node.describe_parameter(key)
             assert fields[key].metadata['description'] in described.description
             assert fields[key].metadata['unit'] in described.description
-            assert described.read_only == (key in ('profile', 'autostart'))
+            assert described.read_only == (key in ('profile', 'autostart', 'diagnostics_period'))
 
 
 def test_every_range_is_enforced_by_ros_itself(declared):

@@ -48,7 +48,8 @@ class CsgmNode(SafeLifecycleNode):
         self.create_service(Trigger, '~/cancel', self._answering(self._on_cancel), callback_group=busy)
         steady, watch = Clock(clock_type=ClockType.STEADY_TIME), MutuallyExclusiveCallbackGroup()
         self.create_timer(0.5, guarded(self._on_watch, self), clock=steady, callback_group=watch)
-        self.create_timer(1.0, guarded(self._on_diagnostics, self), clock=steady, callback_group=watch)
+        period = self._settings.node_config.diagnostics_period
+        self.create_timer(period, guarded(self._on_diagnostics, self), clock=steady, callback_group=watch)
         if self._settings.node_config.autostart:
             self._autostart = self.create_timer(0.0, guarded(self._on_autostart, self), clock=steady)
 

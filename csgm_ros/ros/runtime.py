@@ -16,7 +16,7 @@ from csgm_ros.errors import ConfigError
 from csgm_ros.ros.dds import use_large_buffers
 
 THREADS = 6  # inputs, watch, transitions, and a waiting ~/register beside a second caller
-PATIENCE = 0.2  # seconds that the worker and the executor may each take to stop
+PATIENCE = 0.1  # seconds that the worker and the executor may each take to stop
 
 
 def run_node(node_type: type, args: list[str] | None = None) -> int:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,8 @@ from csgm_ros.errors import InputError
 from csgm_ros.pointcloud2 import Cloud, check_layout, decode, encode
 
 if TYPE_CHECKING:
+    from rosbags.rosbag2 import Reader
+
     from csgm_ros.tools.simulation import SimulatedPair
 
 CLOUD_TYPE = 'sensor_msgs/msg/PointCloud2'
@@ -131,8 +134,9 @@ def record_pair(bag: str | Path, pair: SimulatedPair, *, seconds: float = 2.0, r
     write_clouds(bag, clouds, latched=['/source'])
 
 
-def open_bag(bag: str | Path):
-    """Return an unopened ``rosbags`` reader; use it in a ``with``.
+@contextmanager
+def open_bag(bag: str | Path) -> Iterator[Reader]:
+    """Open a bag with ``rosbags`` for the length of a ``with``.
 
     Raises
     ------
@@ -143,9 +147,14 @@ def open_bag(bag: str | Path):
 
     path = Path(bag)
     try:
-        return Reader(path if path.is_dir() else path.parent)
-    except (ReaderError, OSError) as error:
+        reader = Reader(path if path.is_dir() else path.parent)
+        reader.open()
+    except (ReaderError, OSError, AssertionError) as error:
         raise InputError(f'{bag} is not a rosbag2 folder that can be read: {error}') from None
+    try:
+        yield reader
+    finally:
+        reader.close()
 
 
 def require_topics(bag: str | Path, reader, topics: Iterable[str]) -> None:

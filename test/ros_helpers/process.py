@@ -1,6 +1,5 @@
 """Processes beside the test: the node, and whoever sends it clouds."""
 
-import json
 import os
 import signal
 import subprocess
@@ -49,16 +48,19 @@ class Process:
             self.popen.kill()
         self.popen.wait()
 
-    def json_lines(self):
-        return [json.loads(line) for line in self.log.splitlines() if line.startswith('{')]
+    def end(self):
+        """End it in a way that lets the middleware clean up."""
+        if self.popen.poll() is None:
+            self.signal(signal.SIGINT)
+            self.popen.wait(20.0)
 
 
 class NodeProcess(Process):
     """The node, started as a user starts it."""
 
     def __init__(self, *ros_arguments, env=None, module='csgm_ros.ros.node'):
-        arguments = ['--ros-args', *ros_arguments] if ros_arguments else []
-        super().__init__('-m', module, *arguments, env=env)
+        often = ('-p', 'diagnostics_period:=0.1')
+        super().__init__('-m', module, '--ros-args', *often, *ros_arguments, env=env)
 
     def close(self):
         """End it by SIGINT and expect a clean exit."""
