@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from csgm_ros.errors import InputError
+
 
 def affinity(first: np.ndarray, second: np.ndarray, similarity: str, sigma: float) -> np.ndarray:
     """Return the similarity of every row of one array with every row of another.
@@ -30,6 +32,8 @@ def affinity(first: np.ndarray, second: np.ndarray, similarity: str, sigma: floa
     largest distance.
     """
     distances = cdist(first, second)
+    if not np.isfinite(distances).all():
+        raise InputError('descriptors that are not finite have no similarity')
     if similarity == 'gaussian':
         width = sigma * float(np.median(distances)) if distances.size else 0.0
         return np.exp(-(distances**2) / (2.0 * width**2)) if width > 0.0 else np.ones_like(distances)

@@ -132,7 +132,7 @@ class GraphConfig(Checked):
         choices=('linear', 'gaussian'),
     )
     node_sigma: float = param(0.5, 'width of the Gaussian node similarity', unit='median of D', low=0.01, high=100.0)
-    edge_sigma: float = param(0.3, 'width of the Gaussian edge similarity', low=0.01, high=100.0)
+    edge_sigma: float = param(0.6, 'width of the Gaussian edge similarity', unit='median of D', low=0.01, high=100.0)
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,12 @@ def _paper_estimate(clouds, structures, match: GraphMatch, judge: Judge, config:
         inlier_distance=config.ransac.inlier_distance,
         estimate_scale=config.scale.estimate_scale,
     )
-    clock.tick(0.8)
+    clock.tick(0.7)
+    # RANSAC's winner has no rivals of its own, and without rivals no verdict: search for some
+    source, target = structures
+    scales = search_range(*(side.surface.normalization for side in structures), config.scale, config.hypotheses.scale_factor)
+    rivals = from_triples(partners.of_nodes(source, target, match, 1), rng, config.hypotheses, scales)
+    judge.consider(search(rivals, source.surface, target.surface, config, rng, clock))
     best = judge.polish(start, config.scale.estimate_scale and config.icp.estimate_scale)
     return best, judge.verdict(best, judge.fit(best))
 

@@ -12,7 +12,7 @@ from csgm_ros.errors import DegenerateCloudError
 from csgm_ros.supervoxels import segment
 from csgm_ros.types import PreparedCloud, Similarity, StructureGraph, Supervoxels
 
-ESF_UNIT, FPFH_UNIT = 0.05, 50.0  # typical distances between unlike nodes: brings both to the same weight
+ESF_UNIT, FPFH_UNIT = 0.1, 50.0  # bring both to one scale; FPFH tells nodes apart better and gets twice the weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,11 +94,16 @@ def _describe(cut: Supervoxels, surface: PreparedCloud, config: Config, rng: np.
 
 
 def _graph(cut: Supervoxels, described: np.ndarray, config: Config) -> StructureGraph:
-    if len(cut) < 3:
+    # a supervoxel so thin that it has no normal is noise, and no node
+    kept = np.isfinite(cut.normals).all(1)
+    if kept.sum() < 3:
         raise DegenerateCloudError(
-            f'only {len(cut)} supervoxels: the cloud is too small for its noise, or supervoxels.seed_size '
-            f'({config.supervoxels.seed_size} of the radius) is too large'
+            f'only {kept.sum()} supervoxels: the cloud is too noisy or too sparse for its size, or '
+            f'supervoxels.seed_size ({config.supervoxels.seed_size} of the radius) is too large'
         )
-    part = config.graph
-    edges = cut.adjacency if part.edges == 'adjacency' else graph.neighbor_edges(cut.centroids, part.neighbors)
-    return graph.build_graph(cut.centroids, cut.normals, described, edges, part.edge_descriptor)
+    nodes, part = cut.centroids[kept], config.graph
+    if part.edges == 'adjacency':
+        edges = (np.cumsum(kept) - 1)[cut.adjacency[kept[cut.adjacency].all(1)]]
+    else:
+        edges = graph.neighbor_edges(nodes, part.neighbors)
+    return graph.build_graph(nodes, cut.normals[kept], described[kept], edges.astype(np.int32), part.edge_descriptor)
