@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from csgm_ros.blas import single_thread
 from csgm_ros.config import MatchingConfig
 from csgm_ros.errors import Cancelled, InputError
 from csgm_ros.frank_wolfe import Objective, Smooth, State, assign, maximise, relaxed_gradient, smooth_gain
@@ -79,19 +80,33 @@ def match_graphs(
         return Matching(np.zeros(node.shape, np.uint8), 0.0, 0)
     unit = max(np.abs(node).max(), np.abs(edge).max(initial=0.0)) or 1.0
     smooth = smooth._replace(weight=smooth.weight / unit)
-    merged_1, merged_2, merged = _merged(pairs_1, pairs_2, edge / unit)
-    objective = padded_objective(node / unit, merged, merged_1, merged_2)
-    path, steps = _follow_path(objective, smooth, config, is_cancelled or (lambda: False))
-    if config.search_effort > 0 and min(node.shape) > 1:
-        lookup = lookup_tables(merged_1, merged_2, max(node.shape))
-        columns, more = _search(objective, smooth, lookup, path, node.shape[0], config)
-        steps += more
-    else:
-        columns = path[-1]
+    with single_thread():
+        columns, steps = _solve(
+            node / unit, *_merged(pairs_1, pairs_2, edge / unit), smooth, config, is_cancelled or (lambda: False)
+        )
     assignment = np.zeros((len(columns), len(columns)), np.uint8)
     assignment[np.arange(len(columns)), columns] = 1
     assignment = np.ascontiguousarray(assignment[: node.shape[0], : node.shape[1]])
     return Matching(assignment, score(assignment, node, edge, pairs_1, pairs_2), steps)
+
+
+def _solve(
+    node: np.ndarray,
+    edges_1: np.ndarray,
+    edges_2: np.ndarray,
+    edge: np.ndarray,
+    smooth: Smooth,
+    config: MatchingConfig,
+    is_cancelled: Callable[[], bool],
+) -> tuple[np.ndarray, int]:
+    """Return the permutation of the padded problem and the Frank-Wolfe steps taken."""
+    objective = padded_objective(node, edge, edges_1, edges_2)
+    path, steps = _follow_path(objective, smooth, config, is_cancelled)
+    if config.search_effort == 0 or min(node.shape) == 1:
+        return path[-1], steps
+    lookup = lookup_tables(edges_1, edges_2, max(node.shape))
+    columns, more = _search(objective, smooth, lookup, path, node.shape[0], config)
+    return columns, steps + more
 
 
 def score(
@@ -107,35 +122,53 @@ def score(
     return float(np.sum(node_affinity[assignment > 0]) + np.sum(edge_affinity[(starts > 0) & (ends > 0)]))
 
 
-def _follow_path(objective: Objective, smooth: Smooth, config: MatchingConfig, is_cancelled: Callable[[], bool]):
+def _follow_path(
+    objective: Objective, smooth: Smooth, config: MatchingConfig, is_cancelled: Callable[[], bool]
+) -> tuple[list[np.ndarray], int]:
     """Follow J_alpha from the concave to the convex relaxation (Algorithm 1).
 
     Returns
     -------
     path : list of (N,) ndarray
-        The nearest permutation to X for each alpha; the last is the result.
+        The permutation nearest to X for each alpha; the last is the result.
     steps : int
         Frank-Wolfe steps.
     """
     nodes = len(objective.node)
     state, path, steps = _state(objective, np.full((nodes, nodes), 1 / nodes)), [], 0
-    scale = _scale(objective)
     for alpha in np.linspace(0, 1, config.alpha_steps):
         if is_cancelled():
             raise Cancelled('graph matching was cancelled')
-        before, value = _copy(state), _value(objective, state)
-        limits = config.frank_wolfe_iterations, config.gap_tolerance * scale
-        steps += maximise(objective, smooth, alpha, state, *limits)[0]
-        if _value(objective, state) < value - TINY * scale:
-            # "discard the inferior temporary solution": one step on J itself, from where this alpha started
-            state = before
-            steps += maximise(objective, NOT_SMOOTH, 0.5, state, 1, 0.0)[0]
+        state, taken = _climb(objective, smooth, alpha, state, config)
+        steps += taken
         path.append(_nearest_permutation(state.x))
-        if state.x.max(axis=1).min() == 1 and all(
-            maximise(objective, smooth, later, _copy(state), 1, TINY * scale)[0] == 0 for later in (alpha, 1.0)
-        ):
-            break  # optimal for the linearisation at both ends, hence at every alpha between
+        if _is_final(objective, smooth, alpha, state):
+            break
     return path, steps
+
+
+def _climb(
+    objective: Objective, smooth: Smooth, alpha: float, state: State, config: MatchingConfig
+) -> tuple[State, int]:
+    """Run Frank-Wolfe at one alpha; where J fell, take one step on J itself instead (Sec. III-D, last paragraph)."""
+    scale = _scale(objective)
+    before, value = _copy(state), _value(objective, state)
+    limits = config.frank_wolfe_iterations, config.gap_tolerance * scale
+    steps, _ = maximise(objective, smooth, alpha, state, *limits)
+    if _value(objective, state) >= value - TINY * scale:
+        return state, steps
+    return before, steps + maximise(objective, NOT_SMOOTH, 0.5, before, 1, 0.0)[0]
+
+
+def _is_final(objective: Objective, smooth: Smooth, alpha: float, state: State) -> bool:
+    """Whether no larger alpha can move the state: a permutation that is best for the linearisation at both ends.
+
+    The linearised objective is affine in alpha, so what is best at both ends is best between.
+    """
+    if state.x.max(axis=1).min() < 1:
+        return False
+    tolerance = TINY * _scale(objective)
+    return all(maximise(objective, smooth, a, _copy(state), 1, tolerance)[0] == 0 for a in (alpha, 1.0))
 
 
 def _search(

@@ -17,7 +17,6 @@ from csgm_ros.frank_wolfe import Objective, Smooth
 from csgm_ros.swap_search import Lookup
 
 FLOOR = 1e-5  # singular values below this share of the largest are replaced by it
-QUANTUM = 1e-7  # share of the largest singular value to which S1 and T2 are rounded
 
 
 def padded_objective(node: np.ndarray, edge: np.ndarray, edges_1: np.ndarray, edges_2: np.ndarray) -> Objective:
@@ -58,7 +57,7 @@ def convexifier(
 
     Deviation: the singular vectors come from the smaller of K_q K_q' and K_q' K_q, which takes half the time of the
     singular value decomposition. What that loses, the smallest singular values, is replaced by an upper bound, so
-    J_vex stays concave and J_cav convex. Rounding hides that linear algebra differs with the number of threads.
+    J_vex stays concave and J_cav convex.
     """
     left, right = np.zeros((nodes, nodes)), np.zeros((nodes, nodes))
     if not np.any(edge):
@@ -73,9 +72,7 @@ def convexifier(
     factor_1, factor_2 = (short, long) if wide is edge else (long, short)
     add_shared(left, factor_1, shared=edges_1[:, 1], at=edges_1[:, 0])
     add_shared(right, factor_2, shared=edges_2[:, 0], at=edges_2[:, 1])
-    quantum = QUANTUM * singular[-1]
     for matrix, at in ((left, edges_1[:, 0]), (right, edges_2[:, 1])):
-        matrix[:] = quantum * np.round(matrix / quantum)
         np.fill_diagonal(matrix, matrix.diagonal() + floor * np.bincount(at, minlength=nodes))
     return left, right
 
