@@ -17,6 +17,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock
 
 from csgm_ros.errors import CsgmError, InputError
@@ -169,12 +170,13 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run ``csgm replay``; return 0, or 2 for a bag that cannot be played."""
-    options = parser().parse_args(arguments)
+    arguments = sys.argv[1:] if arguments is None else arguments
+    options = parser().parse_args(remove_ros_args(['csgm', *arguments])[1:])
     space = '/' + options.namespace.strip('/') if options.namespace.strip('/') else ''
     chosen = {'source': options.source_topic, 'target': options.target_topic}
     remap = {topic: f'{space}/{name}' for name, topic in chosen.items() if topic}
     use_large_buffers()
-    rclpy.init(args=None, signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node('csgm_player')
     try:
         player = Player(node, options.bag, rate=options.rate, remap=remap, clock=not options.no_clock)
