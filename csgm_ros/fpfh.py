@@ -19,7 +19,8 @@ def fpfh(points: np.ndarray, normals: np.ndarray, radius: float, places: np.ndar
     Parameters
     ----------
     points, normals : (v, 3) ndarray
-        A cloud and its unit normals with a consistent sign; points with an undefined (NaN) normal are left out.
+        A cloud and its unit normals with a consistent sign; points without a normal (NaN or
+        zero) are left out.
     radius : float
         Both for the pairs of an SPFH and for the SPFHs of a place, in the unit of the points.
     places : (n, 3) ndarray
@@ -35,7 +36,7 @@ def fpfh(points: np.ndarray, normals: np.ndarray, radius: float, places: np.ndar
     An SPFH weighs ``1 / (d^2 + (radius / 10)^2)``. The original weighs ``1 / d^2`` and adds the point's own; a
     place that is no point has none, and may have a point at d = 0.
     """
-    defined = np.isfinite(normals).all(1)
+    defined = np.isfinite(normals).all(1) & (normals != 0).any(1)
     points, normals = points[defined], normals[defined]
     if not len(points):
         return np.zeros((len(places), WIDTH))
@@ -58,7 +59,7 @@ def _spfh(points, normals, radius, axis):
             distance = np.sqrt(x * x + y * y + z * z)
             if distance > radius or distance == 0:
                 continue
-            defined, theta, alpha, phi = _pair_bins(normals[i], normals[j], x / distance, y / distance, z / distance)
+            defined, theta, alpha, phi = _pair_bins(normals, i, j, x / distance, y / distance, z / distance)
             if defined:
                 for p in (i, j):
                     counts[p, theta] += 1
@@ -72,25 +73,25 @@ def _spfh(points, normals, radius, axis):
 
 
 @njit(cache=True, nogil=True)
-def _pair_bins(first, second, x, y, z):
-    """Return whether a pair with unit direction (x, y, z) from first to second has angles, and their bins.
+def _pair_bins(normals, i, j, x, y, z):
+    """Return whether a pair with unit direction d = (x, y, z) from i to j has angles, and their bins.
 
-    The frame sits at the point whose normal is nearer to the direction, so that either order gives the same.
+    The frame u, v = d x u, w = u x v sits at the point whose normal u is nearer to the direction, so that either
+    order of the points gives the same. With the other normal n, ``w . n = (d . n - (u . d) (u . n)) / |d x u|``.
     """
-    phi = first[0] * x + first[1] * y + first[2] * z
-    other = second[0] * x + second[1] * y + second[2] * z
-    u, n = first, second
-    if abs(phi) < abs(other):
-        u, n, phi, x, y, z = second, first, -other, -x, -y, -z
-    vx, vy, vz = y * u[2] - z * u[1], z * u[0] - x * u[2], x * u[1] - y * u[0]
-    length = np.sqrt(vx * vx + vy * vy + vz * vz)
-    if length < 1e-12:
+    along_u = normals[i, 0] * x + normals[i, 1] * y + normals[i, 2] * z
+    along_n = normals[j, 0] * x + normals[j, 1] * y + normals[j, 2] * z
+    if abs(along_u) < abs(along_n):
+        i, j, x, y, z, along_u, along_n = j, i, -x, -y, -z, -along_n, -along_u
+    sine = np.sqrt(max(1 - along_u * along_u, 0.0))
+    if sine < 1e-9:
         return False, 0, 0, 0
-    vx, vy, vz = vx / length, vy / length, vz / length
-    wx, wy, wz = u[1] * vz - u[2] * vy, u[2] * vx - u[0] * vz, u[0] * vy - u[1] * vx
-    alpha = vx * n[0] + vy * n[1] + vz * n[2]
-    theta = np.arctan2(wx * n[0] + wy * n[1] + wz * n[2], u[0] * n[0] + u[1] * n[1] + u[2] * n[2])
-    return True, _bin(theta / np.pi), _bin(alpha), _bin(phi)
+    ux, uy, uz = normals[i, 0], normals[i, 1], normals[i, 2]
+    nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
+    between = ux * nx + uy * ny + uz * nz
+    triple = nx * (y * uz - z * uy) + ny * (z * ux - x * uz) + nz * (x * uy - y * ux)
+    theta = np.arctan2((along_n - along_u * between) / sine, between)
+    return True, _bin(theta / np.pi), _bin(triple / sine), _bin(along_u)
 
 
 @njit(cache=True, nogil=True)

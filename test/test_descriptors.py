@@ -301,7 +301,7 @@ def test_fpfh_tells_a_bump_from_a_dent():
 def test_fpfh_leaves_out_points_without_a_normal():
     points, normals = surface(300)
     missing = normals.copy()
-    missing[200:] = np.nan
+    missing[200:250], missing[250:] = np.nan, 0.0
     assert np.array_equal(fpfh(points, missing, 0.5, points[:9]), fpfh(points[:200], normals[:200], 0.5, points[:9]))
     assert not fpfh(points, np.full_like(points, np.nan), 0.5, points[:9]).any()
 
