@@ -146,7 +146,7 @@ def report(name: str, title: str, body: str, folder: Path) -> None:
         collect()
 
 
-ORDER = ('database_c', 'database_b', 'same_source', 'stress', 'verdict', 'ablation', 'profile_stages')
+ORDER = ('database_c', 'database_b', 'same_source', 'stress', 'verdict', 'ablation', 'profile_stages', 'matching')
 
 
 def collect() -> None:

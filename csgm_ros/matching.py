@@ -1,10 +1,13 @@
 """Step 4: enhanced factorised graph matching (Sec. III-D, Eq. (4) to Eq. (8), Algorithm 1).
 
-Deviations from the paper, all of them off or without effect in its profile: Frank-Wolfe stops by its duality gap, and
-the path where no larger alpha can move a permutation (most steps of the literal loop do nothing); the grid of alpha
-is coarser and few steps are taken at each (as good, and 20 times faster); and a search among permutations follows
-the path, because the path alone is a local method that hard graphs trap. The relaxations are the exact ones, see
-:mod:`csgm_ros.relaxation`.
+The relaxations are the exact ones, see :mod:`csgm_ros.relaxation`. Deviations from the paper, all of them off or
+without effect on the result in its profile:
+
+- Frank-Wolfe stops by its duality gap, and the path where no larger alpha can move a permutation: most steps of the
+  literal loop do nothing.
+- The grid of alpha is coarser, with few steps at each: on the reference instances nine times faster for 0.2 % of J.
+- A search among permutations follows the path, which is a local method and gets trapped on hard graphs: it regains
+  more than that, and on hard graphs several per cent.
 """
 
 from __future__ import annotations
