@@ -58,6 +58,7 @@ setup(
         'PyYAML',
         'tqdm',
         'matplotlib',
+        'pillow',
         'rosbags>=0.10',
     ],
     extras_require={

@@ -130,7 +130,7 @@ def test_every_import_is_declared():
     declared = {element.text for tag in ('depend', 'exec_depend') for element in tree.iter(tag)}
     keys = {'yaml': 'python3-yaml', 'open3d': 'python3-open3d-pip', 'rosbags': 'python3-rosbags-pip'}
     keys |= {name: f'python3-{name}' for name in ('numpy', 'scipy', 'numba', 'matplotlib', 'tqdm')}
-    keys['tf2_ros'] = 'tf2_ros_py'
+    keys |= {'tf2_ros': 'tf2_ros_py', 'PIL': 'python3-pil'}
     launch = list((PACKAGE / 'launch').glob('*.py'))
     missing = {name for name in third_party([*MODULES, *launch]) if keys.get(name, name) not in declared}
     assert not missing
