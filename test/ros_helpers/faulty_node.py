@@ -1,19 +1,13 @@
-"""The node, one of whose parts raises the first time it is used: FAULT says which."""
+"""The node, some of whose parts raise the first time they are used."""
 
-import os
 import sys
 
 from csgm_ros import pipeline
 from csgm_ros.ros.inputs import CloudInput
-from csgm_ros.ros.node import main
-from csgm_ros.ros.registration import Registration
+from csgm_ros.ros.node import CsgmNode, main
+from csgm_ros.ros.outputs import Outputs
 
-PARTS = {
-    'configure': (pipeline, 'warm_up'),
-    'activate': (CloudInput, 'open'),
-    'deactivate': (CloudInput, 'close'),
-    'callback': (Registration, 'cancel'),
-}
+PARTS = [(pipeline, 'warm_up'), (CloudInput, 'follow_offers'), (CsgmNode, '_on_cancel'), (Outputs, 'destroy')]
 
 
 def break_once(owner, name):
@@ -27,5 +21,6 @@ def break_once(owner, name):
 
 
 if __name__ == '__main__':
-    break_once(*PARTS[os.environ['FAULT']])
+    for part in PARTS:
+        break_once(*part)
     sys.exit(main())
