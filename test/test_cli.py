@@ -145,7 +145,9 @@ def test_usage_errors_exit_with_2_and_one_line(arguments, capsys):
 def test_a_degenerate_cloud_is_refused_by_its_role(pair, tmp_path, capsys):
     np.save(tmp_path / 'flat.npy', np.zeros((100, 3)))
     assert main(['register', str(tmp_path / 'flat.npy'), str(pair[1])]) == 2
-    assert 'source' in one_line(capsys)
+    said = one_line(capsys)
+    assert 'source' in said
+    assert 'flat.npy' in said
 
 
 def test_config_prints_the_yaml_and_the_file_is_read_back(pair, tmp_path, capsys):

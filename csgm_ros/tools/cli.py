@@ -126,8 +126,12 @@ def _register(options) -> int:
 
     from csgm_ros.pipeline import register
 
-    with report.ProgressBar() as progress:
-        result = register(source.points, target.points, config, seed=options.seed, on_progress=progress)
+    try:
+        with report.ProgressBar() as progress:
+            result = register(source.points, target.points, config, seed=options.seed, on_progress=progress)
+    except InputError as error:
+        where = options.bag or f'source {options.source}, target {options.target}'
+        raise InputError(f'{error} ({where})') from None
     print(report.summary(result))
     if options.json:
         report.write_json(options.json, result)
