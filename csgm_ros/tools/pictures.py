@@ -43,10 +43,10 @@ def before_after(path: str | Path, source: CloudFile, target: CloudFile, transfo
     raw = [_tinted(target, TARGET_TINT), _tinted(source, SOURCE_TINT)]
     oblique = _turned(FRONT, 28, 22)
     panels = [
-        ('before: the source (SfM), in a unit and pose of its own', [source], FRONT),
-        ('before: the target (Kinect), metres', [target], oblique),
-        ('before: both as they came', raw, oblique),
-        ('after: source (orange) on target (blue)', tinted, oblique),
+        ('before: the source, in a unit and pose of its own', [source], FRONT),
+        ('before: the target', [target], oblique),
+        ('before: both as they came, source orange, target blue', raw, oblique),
+        ('after: the source on the target', tinted, oblique),
         ('after, from above', tinted, TOP),
         ('after, in their own colours', [target, moved], oblique),
     ]
