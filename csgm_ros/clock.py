@@ -8,6 +8,9 @@ from collections.abc import Callable
 Progress = Callable[[str, float], None]
 
 
+STAGES = ('scale normalization', 'structure extraction', 'graph matching', 'transformation estimation')
+
+
 class Clock:
     """Names the running stage to the caller, keeps the wall seconds of each stage, and knows when time is up."""
 
@@ -15,19 +18,34 @@ class Clock:
         self.timings: dict[str, float] = {}
         self._on_progress = on_progress
         self._stage, self._fraction, self._since = '', 0.0, time.perf_counter()
+        self._low, self._high = 0.0, 0.0
         self._deadline = self._since + time_budget if time_budget > 0.0 else float('inf')
 
-    def enter(self, stage: str, fraction: float) -> None:
-        """End the running stage and begin another, ``fraction`` of the whole being done."""
-        now = time.perf_counter()
-        if self._stage:
-            self.timings[self._stage] = self.timings.get(self._stage, 0.0) + now - self._since
-        self._stage, self._since = stage, now
-        self.tick(fraction)
+    def begin(self, attempt: int) -> None:
+        """Give the next attempt half of what is left of the progress: how many will follow is not known."""
+        self._low, self._high = 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1)
 
-    def tick(self, fraction: float | None = None) -> bool:
+    def enter(self, stage: str) -> None:
+        """End the running stage and begin another of :data:`STAGES`."""
+        self._end()
+        self._stage = stage
+        self._fraction = self._low + (self._high - self._low) * STAGES.index(stage) / len(STAGES)
+        self.tick()
+
+    def tick(self) -> bool:
         """Report that work goes on (this is where the caller can cancel); False once the time budget is spent."""
-        self._fraction = self._fraction if fraction is None else fraction
         if self._on_progress:
             self._on_progress(self._stage, self._fraction)
         return time.perf_counter() < self._deadline
+
+    def finish(self) -> None:
+        """End the last stage and report that all is done."""
+        self._end()
+        self._stage, self._fraction = 'done', 1.0
+        self.tick()
+
+    def _end(self) -> None:
+        now = time.perf_counter()
+        if self._stage:
+            self.timings[self._stage] = self.timings.get(self._stage, 0.0) + now - self._since
+        self._since = now

@@ -57,12 +57,22 @@ def checked_value(spec: dataclasses.Field, kind: Any, value: Any) -> Any:
 
 @dataclass(frozen=True)
 class PreprocessConfig(Checked):
-    """Finite filter and voxel grid, before anything else."""
+    """What is done to a cloud before the five steps."""
 
-    voxel_size: float = param(
-        0.03, 'edge of the voxel grid every later stage works on', unit=RADIUS, low=0.001, high=0.2
+    stray_factor: float = param(
+        2.5,
+        'points whose neighbours are farther than this do not count for the radius; 0 counts all (the paper)',
+        unit='median distance',
+        low=0.0,
+        high=1000.0,
     )
     normal_neighbors: int = param(20, 'points from which a normal is estimated', low=3, high=200)
+    noise_threshold: float = param(
+        0.6, 'thickness of the surface from which smoothing is tried while no result is accepted', low=0.0, high=1.0
+    )
+    smoothing: tuple[int, ...] = param(
+        (40, 100), 'neighbours to smooth a noisy cloud with, tried one after the other', low=3, high=1000
+    )
 
 
 @dataclass(frozen=True)
@@ -299,6 +309,7 @@ class NodeConfig(Checked):
 
 
 PAPER = {
+    'preprocess.stray_factor': 0.0,
     'descriptors.kind': 'esf',
     'descriptors.esf_samples': 20000,
     'graph.edges': 'adjacency',

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 from csgm_ros import partners
 from csgm_ros.clock import Clock, Progress
 from csgm_ros.config import Config, profile
+from csgm_ros.denoise import dense_part, smoothed, thickness
 from csgm_ros.hypotheses import from_triples
 from csgm_ros.partners import GraphMatch
 from csgm_ros.preprocess import finite_points
 from csgm_ros.ransac import ransac
-from csgm_ros.scale import normalizations, search_range
+from csgm_ros.scale import normalizations, radius, search_range
 from csgm_ros.search import search
-from csgm_ros.structure import extract
+from csgm_ros.structure import Structure, extract
 from csgm_ros.types import RegistrationResult, Similarity, StructureGraph, Verdict
 from csgm_ros.verdict import Judge
+from csgm_ros.voxels import voxel_means
+
+EVEN_VOXEL = 0.03  # of the radius: the density at which thickness is told
 
 
 def register(
@@ -54,82 +60,119 @@ def register(
         Whatever ``on_progress`` raised.
     """
     config = config or profile()
-    rng = np.random.default_rng(seed)
-    clock = Clock(on_progress, config.time_budget)
-
-    clock.enter('scale normalization', 0.0)
     clouds = finite_points(source, 'source'), finite_points(target, 'target')
-    units = normalizations(*clouds, config.scale)
-    clock.enter('structure extraction', 0.05)
-    first, second = (extract(points, unit, config, rng) for points, unit in zip(clouds, units, strict=True))
-    clock.enter('graph matching', 0.3)
-    match = partners.match(first, second, config, clock)
-    clock.enter('transformation estimation', 0.5)
-    estimate = _paper_estimate if config.hypotheses.sources == 'ransac' else _searched_estimate
+    clock = Clock(on_progress, config.time_budget)
+    best: RegistrationResult | None = None
+    for number, attempt in enumerate(_attempts(clouds, config)):
+        clock.begin(number)
+        result = _attempt(clouds, attempt, config, seed, clock)
+        if best is None or _rank(result) > _rank(best):
+            best = result
+        if result.accepted or not clock.tick():
+            break
+    clock.finish()
+    return dataclasses.replace(best, timings=clock.timings)
+
+
+class Attempt(NamedTuple):
+    """How the clouds are looked at.
+
+    Attributes
+    ----------
+    smoothing : int
+        Neighbours that noise is averaged over; 0 takes the clouds as they are.
+    relative : float
+        Lengths in the source relative to those in the target.
+    """
+
+    smoothing: int = 0
+    relative: float = 1.0
+
+
+def _attempts(clouds: tuple[np.ndarray, np.ndarray], config: Config) -> Iterator[Attempt]:
+    """Yield the clouds as they are; while nothing is accepted, smoothed if noisy, then at other relative lengths."""
+    yield Attempt()
+    if config.hypotheses.sources == 'ransac':
+        return
+    if max(map(thickness, map(_evened, clouds))) > config.preprocess.noise_threshold:
+        yield from (Attempt(smoothing=neighbors) for neighbors in config.preprocess.smoothing)
+    if config.scale.estimate_scale:
+        yield from (Attempt(relative=relative) for relative in config.hypotheses.relative_scales)
+
+
+def _rank(result: RegistrationResult) -> tuple[bool, float]:
+    return result.accepted, result.verdict.margin
+
+
+def _attempt(clouds, attempt: Attempt, config: Config, seed: int, clock: Clock) -> RegistrationResult:
+    """Algorithm 1: one pass through the five steps."""
+    rng = np.random.default_rng(seed)
+    clock.enter('scale normalization')
+    units = normalizations(*(dense_part(cloud, config.preprocess.stray_factor) for cloud in clouds), config.scale)
+    if attempt.smoothing:
+        smooth = [smoothed(unit.apply(cloud), attempt.smoothing) for cloud, unit in zip(clouds, units, strict=True)]
+        clouds = tuple(unit.inverse().apply(cloud) for cloud, unit in zip(smooth, units, strict=True))
+    clock.enter('structure extraction')
+    source = extract(clouds[0], units[0], config, rng, attempt.relative)
+    target = extract(clouds[1], units[1], config, rng)
+    clock.enter('graph matching')
+    match = partners.match(source, target, config, clock)
+    clock.enter('transformation estimation')
     judge = Judge(clouds, units, config, rng)
-    best, verdict = estimate(clouds, (first, second), match, judge, config, rng, clock)
-    clock.enter('done', 1.0)
+    scales = search_range(*units, config.scale, config.hypotheses.scale_factor, attempt.relative)
+    estimate = _paper_estimate if config.hypotheses.sources == 'ransac' else _searched_estimate
+    best, verdict = estimate(source, target, match, judge, scales, config, rng, clock)
 
-    own = units[1].inverse() @ best @ units[0]
-    graphs = [_own_unit(structure.graph, unit) for structure, unit in zip((first, second), units, strict=True)]
-    offsets = best.apply(first.graph.nodes[match.pairs[:, 0]]) - second.graph.nodes[match.pairs[:, 1]]
+    offsets = best.apply(source.graph.nodes[match.pairs[:, 0]]) - target.graph.nodes[match.pairs[:, 1]]
     inliers = np.linalg.norm(offsets, axis=1) < config.ransac.inlier_distance
-    return RegistrationResult(own, verdict, clock.timings, seed, config, *graphs, match.pairs, inliers)
+    own = units[1].inverse() @ best @ units[0]
+    graphs = (_own_unit(side.graph, unit) for side, unit in zip((source, target), units, strict=True))
+    return RegistrationResult(own, verdict, {}, seed, config, *graphs, match.pairs, inliers)
 
 
-def _paper_estimate(clouds, structures, match: GraphMatch, judge: Judge, config: Config, rng, clock: Clock):
+def _paper_estimate(source: Structure, target: Structure, match: GraphMatch, judge: Judge, scales, config, rng, clock):
     """Step 5 as the paper has it: RANSAC on the matched centroids, then ICP."""
-    matched = (structure.graph.nodes[match.pairs[:, side]] for side, structure in enumerate(structures))
     start, _ = ransac(
-        *matched,
+        source.graph.nodes[match.pairs[:, 0]],
+        target.graph.nodes[match.pairs[:, 1]],
         rng,
         iterations=config.ransac.iterations,
         inlier_distance=config.ransac.inlier_distance,
         estimate_scale=config.scale.estimate_scale,
     )
-    clock.tick(0.7)
     # RANSAC's winner has no rivals of its own, and without rivals no verdict: search for some
-    source, target = structures
-    scales = search_range(*(side.surface.normalization for side in structures), config.scale, config.hypotheses.scale_factor)
     rivals = from_triples(partners.of_nodes(source, target, match, 1), rng, config.hypotheses, scales)
     judge.consider(search(rivals, source.surface, target.surface, config, rng, clock))
     best = judge.polish(start, config.scale.estimate_scale and config.icp.estimate_scale)
     return best, judge.verdict(best, judge.fit(best))
 
 
-def _searched_estimate(clouds, structures, match: GraphMatch, judge: Judge, config: Config, rng, clock: Clock):
-    """Step 5 extended: rounds of many hypotheses, verified from both sides, until one is accepted."""
-    best, verdict = Similarity.identity(), None
-    for number, (hypotheses, source, target) in enumerate(_rounds(clouds, structures, match, config, rng)):
-        finalists = search(hypotheses, source.surface, target.surface, config, rng, clock)
-        best, verdict = judge.consider(finalists)
-        if verdict.accepted or not clock.tick(1.0 - 0.5 * 0.6 ** (number + 1)):
+def _searched_estimate(
+    source: Structure, target: Structure, match: GraphMatch, judge: Judge, scales, config, rng, clock
+):
+    """Step 5 extended: many hypotheses from the graph, then from local features, verified from both sides."""
+    part = config.hypotheses
+    best, verdict = None, None
+    for kind in ('graph', 'local') if part.sources == 'both' else (part.sources,):
+        found = (
+            partners.of_nodes(source, target, match, part.partners)
+            if kind == 'graph'
+            else partners.of_features(source, target, part.partners)
+        )
+        hypotheses = from_triples(found, rng, part, scales)
+        best, verdict = judge.consider(search(hypotheses, source.surface, target.surface, config, rng, clock))
+        if verdict.accepted or not clock.tick():
             break
     return best, verdict
 
 
-def _rounds(clouds, structures, match: GraphMatch, config: Config, rng) -> Iterator[tuple]:
-    """Yield hypotheses with the structures they are between: as configured, then with other relative lengths."""
-    part = config.hypotheses
-    source, target = structures
-    for relative in (1.0, *(part.relative_scales if config.scale.estimate_scale else ())):
-        if relative != 1.0:
-            source = extract(clouds[0], structures[0].surface.normalization, config, rng, relative)
-            match = partners.match(source, target, config, Clock())
-        low, high = search_range(
-            source.surface.normalization, target.surface.normalization, config.scale, part.scale_factor, relative
-        )
-        if part.sources in ('graph', 'both'):
-            nodes = partners.of_nodes(source, target, match, part.partners)
-            yield from_triples(nodes, rng, part, (low, high)), source, target
-        if part.sources in ('local', 'both'):
-            features = partners.of_features(source, target, part.partners)
-            yield from_triples(features, rng, part, (low, high)), source, target
+def _evened(points: np.ndarray) -> np.ndarray:
+    return voxel_means(points, EVEN_VOXEL * radius(points))
 
 
 def _own_unit(graph: StructureGraph, unit: Similarity) -> StructureGraph:
     nodes = unit.inverse().apply(graph.nodes)
-    return StructureGraph(nodes, graph.normals, graph.node_descriptors, graph.edges, graph.edge_descriptors)
+    return dataclasses.replace(graph, nodes=nodes)
 
 
 def warm_up() -> None:

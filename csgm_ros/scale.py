@@ -23,7 +23,7 @@ def normalizations(source: np.ndarray, target: np.ndarray, config: ScaleConfig) 
     Parameters
     ----------
     source, target : (N, 3), (M, 3) ndarray
-        Finite points.
+        Finite points, strays left out.
     config : ScaleConfig
         ``estimate_scale`` false is the rigid mode.
     """
