@@ -166,3 +166,21 @@ def test_clouds_of_a_moving_sensor_are_merged_in_a_fixed_frame(start, ros):
         assert client.set_parameters({'fixed_frame': 'odom'}).success
         assert 'TF does not connect camera with odom' in client.register().message
     assert kept
+
+
+def test_missing_tf_is_said_once_and_the_rest_works(ros):
+    process = NodeProcess('-r', '__ns:=/bare', '-p', 'publish_tf:=true', module='ros_helpers.node_without_tf')
+    try:
+        with Client('/bare/csgm') as client:
+            assert client.configure().success
+            assert client.activate().success
+            kept = send_pair(ros, space='/bare')
+            wait_heard(client)
+            assert client.register().success
+            assert client.register().success
+            assert client.set_parameters({'fixed_frame': 'map'}).success
+            process.wait_log('fixed_frame needs TF')
+        assert process.log.count('tf2_msgs is not installed: nothing on /tf_static') == 1
+        assert kept
+    finally:
+        process.close()

@@ -66,7 +66,7 @@ class Parameters:
         self._node = node
         self.node_config = NodeConfig()
         self._types: dict[str, int] = {}
-        self._declare('profile', configuration.parameter_fields()['profile'], 'robust')
+        self._declare('profile', configuration.parameter_fields(configuration.Config)['profile'], 'robust')
         self.config = configuration.profile(node.get_parameter('profile').value)
         for part in (self.config, self.node_config):
             fields = configuration.parameter_fields(type(part))

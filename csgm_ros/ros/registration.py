@@ -17,6 +17,7 @@ from csgm_ros.accumulate import merge
 from csgm_ros.config import Config
 from csgm_ros.errors import Cancelled, CsgmError, InputError
 from csgm_ros.pointcloud2 import Cloud, decode
+from csgm_ros.ros.lifecycle import guarded
 from csgm_ros.ros.worker import Job, Worker
 from csgm_ros.types import RegistrationResult
 
@@ -74,7 +75,7 @@ class Registration:
 
     def submit(self, request: Request) -> Job:
         """Queue a request in place of one that still waits."""
-        return self._worker.submit(lambda progress: run(request, progress), self._deliver)
+        return self._worker.submit(lambda progress: run(request, progress), guarded(self._deliver, self._node))
 
     def cancel(self, reason: str) -> bool:
         """Cancel what runs and waits; False when nothing does."""

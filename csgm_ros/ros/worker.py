@@ -124,10 +124,11 @@ class Worker:
             try:
                 if fresh:
                     job.deliver(job)
-            finally:
-                job.done.set()
-                with self._condition:
-                    self._running = None
+            except Exception as raised:
+                job.error = raised
+            job.done.set()
+            with self._condition:
+                self._running = None
 
     def _next(self) -> Job | None:
         with self._condition:
