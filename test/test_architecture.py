@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / 'csgm_ros'
 MODULES = sorted(PACKAGE.rglob('*.py'))
-NOUNS = {'types', 'config', 'errors'}
+NOUNS = {'types', 'config', 'errors', 'schema'}
 STAGES = {
     *('preprocess', 'scale', 'supervoxels', 'descriptors', 'graph', 'affinity', 'matching'),
     *('ransac', 'icp', 'hypotheses', 'verification'),

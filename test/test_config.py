@@ -14,7 +14,7 @@ from csgm_ros.tools.config_files import assignment, config_yaml, read_config
 from csgm_ros.tools.resources import config_file
 
 FILES = {'robust': 'csgm.yaml', 'paper': 'paper.yaml'}
-NUMBERS = {name: spec for name, spec in parameter_fields().items() if type(spec.default) in (int, float)}
+NUMBERS = {name: spec for name, spec in parameter_fields(Config).items() if type(spec.default) in (int, float)}
 
 
 @pytest.mark.parametrize('name', FILES)

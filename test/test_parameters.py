@@ -10,7 +10,7 @@ import rclpy
 from rclpy.parameter import Parameter
 from ros_helpers.process import NodeProcess
 
-from csgm_ros.config import NodeConfig, flatten, parameter_fields, profile
+from csgm_ros.config import Config, NodeConfig, flatten, parameter_fields, profile
 from csgm_ros.errors import ConfigError
 from csgm_ros.ros.parameters import Parameters
 
@@ -53,7 +53,7 @@ def test_parameters_are_the_configuration(declared, name):
 def test_every_range_is_enforced_by_ros_itself(declared):
     node, parameters = declared()
     before = parameters.config
-    for name, spec in {**parameter_fields(), **parameter_fields(NodeConfig)}.items():
+    for name, spec in {**parameter_fields(Config), **parameter_fields(NodeConfig)}.items():
         for bound, beyond in (('low', -1), ('high', 1)):
             value = spec.metadata[bound]
             current = node.get_parameter(name).value
