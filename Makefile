@@ -3,6 +3,7 @@ VENV ?= .venv
 PYTHON ?=
 TESTS ?= test
 BENCH ?= benchmarks
+ARGS ?=
 
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
@@ -17,7 +18,7 @@ help:
 	@echo 'make demo    the live node registers a simulated Kinect and a simulated SfM cloud'
 	@echo 'make test    every test (TESTS=test/test_files.py for some)'
 	@echo 'make lint    style and format'
-	@echo 'make bench   measured figures, with their references beside them'
+	@echo 'make bench   measured figures, with their references beside them (hours; ARGS=--quick for minutes)'
 	@echo 'make clean   remove what the others made, the virtual environment included'
 	@echo 'PYTHON=...   interpreter to use (3.11 or 3.12)    VENV=...  where the environment lives'
 
@@ -41,7 +42,7 @@ lint: $(READY)
 	@$(PY) -m ruff check . && $(PY) -m ruff format --check .
 
 bench: $(READY)
-	@set -e; for script in $$(grep -l __main__ $(BENCH)/*.py); do echo "== $$script"; $(PY) "$$script"; done
+	@set -e; for script in $$(grep -l __main__ $(BENCH)/*.py); do echo "== $$script"; $(PY) "$$script" $(ARGS); done
 
 config: $(READY)
 	@$(PY) -m csgm_ros.tools.cli config > config/csgm.yaml
