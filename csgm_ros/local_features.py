@@ -12,9 +12,9 @@ SPACING = 0.2  # of the keypoints, in feature radii: finer ones cost more and ma
 MAX_NEIGHBORS = 150
 
 
-def keypoints(surface: PreparedCloud, spacing: float) -> PreparedCloud:
-    """Thin a surface to one point per ``spacing``, each with the normal of the nearest surface point."""
-    points = voxel_means(surface.points, spacing)
+def keypoints(surface: PreparedCloud, radius: float) -> PreparedCloud:
+    """Thin a surface for features of a radius; each point has the normal of the nearest surface point."""
+    points = voxel_means(surface.points, SPACING * radius)
     _, nearest = cKDTree(surface.points).query(points)
     return PreparedCloud(points, surface.normals[nearest], surface.normalization)
 

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from csgm_ros import local_features
 from csgm_ros.affinity import affinity
 from csgm_ros.clock import Clock
-from csgm_ros.config import Config
+from csgm_ros.config import Config, HypothesesConfig
 from csgm_ros.hypotheses import Correspondences
-from csgm_ros.local_features import nearest_both_ways
 from csgm_ros.matching import match_graphs
 from csgm_ros.structure import Structure
 
@@ -58,10 +58,16 @@ def of_nodes(source: Structure, target: Structure, found: GraphMatch, count: int
     return Correspondences(first.nodes[i], second.nodes[a], first.normals[i], second.normals[a])
 
 
-def of_features(source: Structure, target: Structure, count: int) -> Correspondences:
-    """Return the keypoints whose local features are among the ``count`` nearest of each other."""
-    i, a = nearest_both_ways(source.features, target.features, count).T
-    first, second = source.keypoints, target.keypoints
+def of_features(source: Structure, target: Structure, config: HypothesesConfig) -> Correspondences:
+    """Return the keypoints whose local features are among the nearest of each other."""
+    sides = source, target
+    keypoints = [local_features.keypoints(side.surface, config.feature_radius * side.unit) for side in sides]
+    features = [
+        local_features.fpfh(points, config.feature_radius * side.unit)
+        for points, side in zip(keypoints, sides, strict=True)
+    ]
+    i, a = local_features.nearest_both_ways(*features, config.partners).T
+    first, second = keypoints
     return Correspondences(first.points[i], second.points[a], first.normals[i], second.normals[a])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -113,8 +114,7 @@ def _attempt(clouds, attempt: Attempt, config: Config, seed: int, clock: Clock) 
         smooth = [smoothed(unit.apply(cloud), attempt.smoothing) for cloud, unit in zip(clouds, units, strict=True)]
         clouds = tuple(unit.inverse().apply(cloud) for cloud, unit in zip(smooth, units, strict=True))
     clock.enter('structure extraction')
-    source = extract(clouds[0], units[0], config, rng, attempt.relative)
-    target = extract(clouds[1], units[1], config, rng)
+    source, target = _structures(clouds, units, attempt, config, rng)
     clock.enter('graph matching')
     match = partners.match(source, target, config, clock)
     clock.enter('transformation estimation')
@@ -128,6 +128,12 @@ def _attempt(clouds, attempt: Attempt, config: Config, seed: int, clock: Clock) 
     own = units[1].inverse() @ best @ units[0]
     graphs = (_own_unit(side.graph, unit) for side, unit in zip((source, target), units, strict=True))
     return RegistrationResult(own, verdict, {}, seed, config, *graphs, match.pairs, inliers)
+
+
+def _structures(clouds, units, attempt: Attempt, config: Config, rng) -> tuple[Structure, Structure]:
+    """Step 2 and the graphs of step 3, for both clouds at a time."""
+    with ThreadPoolExecutor(1 if config.threads == 1 else 2) as pool:
+        return tuple(pool.map(extract, clouds, units, (config, config), rng.spawn(2), (attempt.relative, 1.0)))
 
 
 def _paper_estimate(source: Structure, target: Structure, match: GraphMatch, judge: Judge, scales, config, rng, clock):
@@ -157,7 +163,7 @@ def _searched_estimate(
         found = (
             partners.of_nodes(source, target, match, part.partners)
             if kind == 'graph'
-            else partners.of_features(source, target, part.partners)
+            else partners.of_features(source, target, part)
         )
         hypotheses = from_triples(found, rng, part, scales)
         best, verdict = judge.consider(search(hypotheses, source.surface, target.surface, config, rng, clock))

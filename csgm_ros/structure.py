@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from csgm_ros import descriptors, graph, local_features
+from csgm_ros import descriptors, graph
 from csgm_ros.config import Config
 from csgm_ros.errors import DegenerateCloudError
 from csgm_ros.supervoxels import segment
@@ -25,16 +25,13 @@ class Structure:
         The voxels that the supervoxels were grown from.
     graph : StructureGraph
         Supervoxels as nodes, their neighbourhood as edges.
-    keypoints : PreparedCloud
-        Coarser voxels that carry local features.
-    features : (k, 33) ndarray
-        FPFH of the keypoints.
+    unit : float
+        Length to which the configured ones are relative, here.
     """
 
     surface: PreparedCloud
     graph: StructureGraph
-    keypoints: PreparedCloud
-    features: np.ndarray
+    unit: float
 
 
 def extract(
@@ -69,11 +66,8 @@ def extract(
     # a voxel without a plane around it has no normal: zero agrees with nothing
     normals = np.where(np.isfinite(cut.voxel_normals), cut.voxel_normals, 0.0)
     surface = PreparedCloud(cut.voxel_points, normals, normalization)
-    radius = config.hypotheses.feature_radius * relative
-    keypoints = local_features.keypoints(surface, radius * local_features.SPACING)
-    features = local_features.fpfh(keypoints, radius)
     described = _describe(cut, surface, config, rng, relative)
-    return Structure(surface, _graph(cut, described, config), keypoints, features)
+    return Structure(surface, _graph(cut, described, config), relative)
 
 
 def _describe(cut: Supervoxels, surface: PreparedCloud, config: Config, rng: np.random.Generator, relative: float):
