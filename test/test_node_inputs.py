@@ -8,7 +8,7 @@ pytest.importorskip('rclpy')
 from ros_helpers.clouds import easy_pair
 from ros_helpers.peer import BEST_EFFORT, LATCHED, RELIABLE
 from ros_helpers.process import NodeProcess, Process
-from ros_helpers.scene import heard, send_pair, wait_heard
+from ros_helpers.scene import SLOW, heard, send_pair, wait_heard
 from ros_helpers.waiting import until
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import String
@@ -202,7 +202,7 @@ def settled(count):
 def test_clouds_are_heard_while_a_registration_runs(active, ros, sensors):
     send_pair(ros)
     wait_heard(active)
-    assert active.set_parameters({'preprocess.voxel_size': 0.001}).success
+    assert active.set_parameters(SLOW).success
     sensor = sensors('/target', '--points', 20_000, '--rate', 30, '--reliable')
     sensor.wait_log('matched')
     future = ask_register(ros)

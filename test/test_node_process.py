@@ -16,7 +16,7 @@ from geometry_msgs.msg import TransformStamped
 from ros_helpers.clouds import displacement, easy_pair
 from ros_helpers.peer import RELIABLE
 from ros_helpers.process import NodeProcess
-from ros_helpers.scene import TARGET_STAMP, send_pair, wait_heard
+from ros_helpers.scene import SLOW, TARGET_STAMP, send_pair, wait_heard
 from ros_helpers.waiting import until
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
@@ -47,7 +47,8 @@ def start():
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize('when', ['registering', 'configuring'])
 def test_signals_end_the_process_in_a_second_with_code_0(start, ros, number, when):
-    process = start('-r', '__ns:=/ending', '-p', 'preprocess.voxel_size:=0.001')
+    slow = [word for name, value in SLOW.items() for word in ('-p', f'{name}:={value}')]
+    process = start('-r', '__ns:=/ending', *slow)
     with Client('/ending/csgm') as client:
         if when == 'configuring':
             thread = background(client.configure)

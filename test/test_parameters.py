@@ -86,7 +86,7 @@ def test_live_change_is_used(declared):
         ('icp.gates', [0.1, 7.0], 'must lie in'),
         ('icp.iterations', 'many', 'type'),
         ('trigger', 'sometimes', 'one of'),
-        ('preprocess.voxel_size', float('nan'), ''),
+        ('scale.scale_max', float('nan'), ''),
     ],
 )
 def test_wrong_value_is_refused_with_a_reason(declared, name, value, complaint):

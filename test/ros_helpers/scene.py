@@ -4,6 +4,9 @@ from csgm_ros.ros.cloud_msgs import cloud_message, header
 from ros_helpers.clouds import easy_pair
 from ros_helpers.waiting import until
 
+# So thorough that a registration takes long enough to be interrupted, and what it is otherwise.
+SLOW = {'matching.alpha_steps': 1001, 'matching.frank_wolfe_iterations': 1000}
+QUICK = {'matching.alpha_steps': 11, 'matching.frank_wolfe_iterations': 50}
 SOURCE_STAMP, TARGET_STAMP = 5_000_000_001, 7_250_000_000
 
 
