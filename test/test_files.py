@@ -145,7 +145,7 @@ def test_inspection_tells_size_and_suits_the_values_to_the_density():
     assert 'points   1730 (1 not finite, 1 repeated)' in text
     assert 'extent   11 x 11 x 11' in text
     assert 'spacing  1 ' in text
-    assert '--set preprocess.voxel_size=0.2' in text
+    assert '--set supervoxels.voxel_size=0.2' in text
     with pytest.raises(DegenerateCloudError):
         inspect(np.zeros((5, 3)))
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from csgm_ros.config import profile
+from csgm_ros.config import SupervoxelConfig, parameter_fields, profile
 from csgm_ros.errors import DegenerateCloudError
+
+LARGEST_VOXEL = parameter_fields(SupervoxelConfig)['voxel_size'].metadata['high']
 
 
 def inspect(points: np.ndarray) -> str:
@@ -31,17 +33,17 @@ def inspect(points: np.ndarray) -> str:
     sample = np.random.default_rng(0).permutation(len(distinct))[:5000]
     spacing = float(np.median(cKDTree(distinct).query(distinct[sample], k=2)[0][:, 1]))
     extent = np.ptp(finite, axis=0)
-    default = profile().preprocess.voxel_size
-    voxel = max(default, round(2 * spacing / radius, 3))
+    default = profile().supervoxels.voxel_size
+    voxel = min(max(default, round(2 * spacing / radius, 3)), LARGEST_VOXEL)
     lines = [
         f'points   {len(points)} ({len(points) - len(finite)} not finite, {len(finite) - len(distinct)} repeated)',
         f'extent   {extent[0]:.4g} x {extent[1]:.4g} x {extent[2]:.4g}',
         f'radius   {radius:.4g} (largest distance to the centroid: the unit of the relative lengths)',
         f'spacing  {spacing:.4g} (median distance to the nearest neighbour) = {spacing / radius:.4f} radii',
-        f'voxel    preprocess.voxel_size {default:g} is {default * radius:.4g} in the unit of this cloud',
+        f'voxel    supervoxels.voxel_size {default:g} is {default * radius:.4g} in the unit of this cloud',
     ]
     if voxel > default:
-        lines.append(f'suggest  --set preprocess.voxel_size={voxel:g}: the cloud is sparser than two points a voxel')
+        lines.append(f'suggest  --set supervoxels.voxel_size={voxel:g}: the cloud is sparser than two points a voxel')
     else:
         lines.append('suggest  the defaults suit this density')
     return '\n'.join(lines)
