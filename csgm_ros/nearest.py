@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+MAX_CELLS = 5e7
+
 
 class NearestGrid(NamedTuple):
     """A cloud with its look-up table; -1 in ``index`` where no point lies within reach.
@@ -36,7 +38,12 @@ class NearestGrid(NamedTuple):
 
 
 def build(points: np.ndarray, normals: np.ndarray, cell: float, reach: float) -> NearestGrid:
-    """Tabulate the nearest of (N, 3) points for every place within ``reach`` of one of them."""
+    """Tabulate the nearest of (N, 3) points for every place within ``reach`` of one of them.
+
+    ``cell`` is widened where the table would have more than ``MAX_CELLS`` cells.
+    """
+    # a point far from all others would take the memory of the whole space between them
+    cell = max(cell, float(np.cbrt((np.ptp(points, axis=0) + 2 * reach).prod() / MAX_CELLS)))
     origin = points.min(0) - reach - cell
     sides = np.ceil((points.max(0) + reach + cell - origin) / cell).astype(np.int64)
     index = np.full(tuple(sides), -1, np.int32)

@@ -9,6 +9,7 @@ from csgm_ros.types import PreparedCloud, Similarity
 from csgm_ros.voxels import voxel_means
 
 MIN_POINTS = 50
+MAX_COORDINATE = 1e100  # squares, their sums and quotients of two clouds stay far from overflow
 
 
 def finite_points(points: np.ndarray, name: str = 'cloud') -> np.ndarray:
@@ -17,19 +18,23 @@ def finite_points(points: np.ndarray, name: str = 'cloud') -> np.ndarray:
     Raises
     ------
     InputError
-        Not an (N, 3) array of numbers.
+        Not an (N, 3) array of numbers, or numbers too large to calculate with.
     DegenerateCloudError
         Fewer than 50 finite points, or all of them on one line.
     """
     try:
-        points = np.asarray(points, float)
-    except (TypeError, ValueError) as error:
+        points = np.asarray(points)
+    except ValueError as error:
         raise InputError(f'{name}: not an array of numbers ({error}); give an (N, 3) array') from None
+    if points.dtype.kind not in 'biuf':
+        raise InputError(f'{name}: not an array of numbers but of {points.dtype}; give an (N, 3) array')
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f'{name}: shape {points.shape}; give an (N, 3) array of x, y, z')
-    points = points[np.isfinite(points).all(1)]
+    points = points[np.isfinite(points).all(1)].astype(float)
     if len(points) < MIN_POINTS:
         raise DegenerateCloudError(f'{name}: {len(points)} finite points; at least {MIN_POINTS} are needed')
+    if np.abs(points).max() > MAX_COORDINATE:
+        raise InputError(f'{name}: coordinates beyond {MAX_COORDINATE:g}; choose a larger unit or remove such points')
     centred = points - points.mean(0)
     extents = np.linalg.eigvalsh(centred.T @ centred / len(points))
     if extents[1] <= 1e-10 * extents[2] or extents[2] <= 0.0:
