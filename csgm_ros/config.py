@@ -195,7 +195,7 @@ class VerificationConfig(Checked):
         0.05, 'score that clouds reach by chance: the least that a result is compared with', low=0.001, high=1.0
     )
     min_margin: float = param(
-        1.15, 'score over that of the best different hypothesis below which a result is rejected', low=1.0, high=100.0
+        1.25, 'score over that of the best different hypothesis below which a result is rejected', low=1.0, high=100.0
     )
     min_lead: float = param(
         0.02, 'score above that of the best different hypothesis below which a result is rejected', low=0.0, high=1.0
