@@ -1,12 +1,15 @@
 """Fixtures of all tests; ROS tests run over real DDS in a domain of their own, node and test in two processes."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
 
 
 def pytest_configure(config):
+    # A shell that starts the tests in the background ignores SIGINT, which the processes under test would inherit.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     # 1..100: ids above leave the ports that Linux keeps clear; xdist workers share their parent's id and differ by one.
     worker = os.environ.get('PYTEST_XDIST_WORKER', 'gw0')
     root = os.getppid() if 'PYTEST_XDIST_WORKER' in os.environ else os.getpid()
@@ -34,20 +37,29 @@ def ros():
     peer.close()
 
 
-@pytest.fixture(scope='module')
-def node():
-    """One node process for the tests of a module; each test leaves it unconfigured."""
+@pytest.fixture(scope='session')
+def nodes():
+    """The node processes of the session: one, and another each time that one has died."""
+    started = []
+    yield started
+    for process in started:
+        process.close()
+
+
+@pytest.fixture
+def node(nodes):
+    """The session's node process, which each test leaves unconfigured."""
     pytest.importorskip('rclpy')
     from ros_helpers.process import NodeProcess
 
-    process = NodeProcess()
-    yield process
-    process.close()
+    if not nodes or nodes[-1].popen.poll() is not None:
+        nodes.append(NodeProcess())
+    return nodes[-1]
 
 
 @pytest.fixture
 def client(node):
-    """A client of the module's node; back to unconfigured and to its default parameters afterwards."""
+    """A client of that node; back to unconfigured and to its default parameters afterwards."""
     from csgm_ros.ros.client import Client
 
     with Client() as connection:
