@@ -13,6 +13,7 @@ from csgm_ros import partners
 from csgm_ros.clock import Clock, Progress
 from csgm_ros.config import Config, profile
 from csgm_ros.denoise import dense_part, smoothed, thickness
+from csgm_ros.errors import DegenerateCloudError
 from csgm_ros.hypotheses import from_triples
 from csgm_ros.partners import GraphMatch
 from csgm_ros.preprocess import finite_points
@@ -66,7 +67,12 @@ def register(
     best: RegistrationResult | None = None
     for number, attempt in enumerate(_attempts(clouds, config)):
         clock.begin(number)
-        result = _attempt(clouds, attempt, config, seed, clock)
+        try:
+            result = _attempt(clouds, attempt, config, seed, clock)
+        except DegenerateCloudError:
+            if best is None:
+                raise
+            continue  # smoothed, or at other lengths, a sparse cloud may have no structure left
         if best is None or _rank(result) > _rank(best):
             best = result
         if result.accepted or not clock.tick():
@@ -126,6 +132,8 @@ def _attempt(clouds, attempt: Attempt, config: Config, seed: int, clock: Clock) 
     offsets = best.apply(source.graph.nodes[match.pairs[:, 0]]) - target.graph.nodes[match.pairs[:, 1]]
     inliers = np.linalg.norm(offsets, axis=1) < config.ransac.inlier_distance
     own = units[1].inverse() @ best @ units[0]
+    if not config.scale.estimate_scale:
+        own = dataclasses.replace(own, scale=1.0)  # which it is but for rounding
     graphs = (_own_unit(side.graph, unit) for side, unit in zip((source, target), units, strict=True))
     return RegistrationResult(own, verdict, {}, seed, config, *graphs, match.pairs, inliers)
 
@@ -133,7 +141,17 @@ def _attempt(clouds, attempt: Attempt, config: Config, seed: int, clock: Clock) 
 def _structures(clouds, units, attempt: Attempt, config: Config, rng) -> tuple[Structure, Structure]:
     """Step 2 and the graphs of step 3, for both clouds at a time."""
     with ThreadPoolExecutor(1 if config.threads == 1 else 2) as pool:
-        return tuple(pool.map(extract, clouds, units, (config, config), rng.spawn(2), (attempt.relative, 1.0)))
+        sides = pool.map(
+            _structure, ('source', 'target'), clouds, units, (config,) * 2, rng.spawn(2), (attempt.relative, 1.0)
+        )
+        return tuple(sides)
+
+
+def _structure(name: str, *inputs) -> Structure:
+    try:
+        return extract(*inputs)
+    except DegenerateCloudError as error:
+        raise DegenerateCloudError(f'{name}: {error}') from None
 
 
 def _paper_estimate(source: Structure, target: Structure, match: GraphMatch, judge: Judge, scales, config, rng, clock):

@@ -64,6 +64,7 @@ class Judge:
     ):
         part = config.verification
         self._config, self._target_radius = config, 1.0 / normalizations[1].scale
+        self._own_unit = normalizations[0].scale / normalizations[1].scale
         self._source, self._target = self._sides = tuple(
             prepare(points, unit, part.fine_voxel_size, config.preprocess.normal_neighbors)
             for points, unit in zip(clouds, normalizations, strict=True)
@@ -125,7 +126,15 @@ class Judge:
         part = self._config.verification
         rivals = [other.closeness for rival, other in self._measured if self._differ(transform, rival)]
         rival = max([part.chance, *rivals])
-        accepted, reason = _decide(fit, rival, part)
+        # a share counted on fewer points is known less well, with their root
+        doubt = np.sqrt(part.fine_samples / min(part.fine_samples, *map(len, self._samples)))
+        accepted, reason = _decide(fit, rival, part, part.min_lead * doubt)
+        own, bounds = transform.scale * self._own_unit, self._config.scale
+        if bounds.estimate_scale and not bounds.scale_min <= own <= bounds.scale_max:  # refinement can leave them
+            accepted = False
+            reason = (
+                f'scale {own:.4g} is not in scale.scale_min..scale_max ({bounds.scale_min:g}..{bounds.scale_max:g})'
+            )
         rmse = fit.rmse * self._target_radius
         return Verdict(accepted, reason, fit.fitness_source, fit.fitness_target, rmse, fit.closeness / rival)
 
@@ -135,7 +144,7 @@ class Judge:
         return float((offset**2).sum(1).mean()) > self._config.verification.different**2
 
 
-def _decide(fit: Fit, rival: float, config: VerificationConfig) -> tuple[bool, str]:
+def _decide(fit: Fit, rival: float, config: VerificationConfig, min_lead: float) -> tuple[bool, str]:
     smaller = min(fit.fitness_source, fit.fitness_target)
     margin, lead = fit.closeness / rival, fit.closeness - rival
     if smaller < config.min_fitness:
@@ -143,7 +152,7 @@ def _decide(fit: Fit, rival: float, config: VerificationConfig) -> tuple[bool, s
             f'too little overlap: only {smaller:.0%} of one cloud lies on the other '
             f'(verification.min_fitness asks for {config.min_fitness:.0%})'
         )
-    if margin < config.min_margin or lead < config.min_lead:
+    if margin < config.min_margin or lead < min_lead:
         return False, (
             f'ambiguous: it fits only {margin:.2f} times as well as a different transform, or as chance does '
             '(unrelated clouds, a symmetric or a flat scene)'
