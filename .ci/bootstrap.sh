@@ -109,7 +109,7 @@ if ! "$VENV/bin/python" -c 'import open3d' > /dev/null 2>&1; then
 fi
 
 step 4 'csgm_ros itself, as it is in this tree; compiling its kernels'
-"$VENV/bin/python" -m pip install -q --no-deps --use-pep517 --no-build-isolation -e .
+"$VENV/bin/python" -m pip install -q --no-deps --no-build-isolation -e .
 "$VENV/bin/csgm" --help > /dev/null
 "$VENV/bin/python" -c 'from csgm_ros.pipeline import warm_up; warm_up()' ||
   echo '      the kernels did not compile; the tests will tell more' >&2

@@ -12,7 +12,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SHIPPED = ('package.xml', 'setup.py', 'setup.cfg', 'README.md', 'LICENSE', 'resource', 'config', 'csgm_ros')
+SHIPPED = (
+    'package.xml',
+    'pyproject.toml',
+    'setup.py',
+    'setup.cfg',
+    'README.md',
+    'LICENSE',
+    'resource',
+    'config',
+    'csgm_ros',
+)
 
 
 @pytest.fixture(scope='module')
@@ -33,7 +43,6 @@ def wheel(tmp_path_factory):
         'wheel',
         '-q',
         '--no-deps',
-        '--use-pep517',
         '--no-build-isolation',
         '-w',
         str(folder),
