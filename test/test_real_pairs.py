@@ -1,0 +1,53 @@
+"""Real clouds of one kitchen, SfM and Kinect, whose truth is known to a few centimetres."""
+
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+
+from csgm_ros import profile, register
+from csgm_ros.config import replaced
+from csgm_ros.similarity import rotation_angle
+from csgm_ros.types import Similarity
+
+PAIRS = ('crop_chair_000', 'crop_table_195', 'kitchen_000_120')
+
+
+def read_ply(path):
+    header, _, body = path.read_bytes().partition(b'end_header\n')
+    lines = [line.split() for line in header.decode('ascii').splitlines()]
+    count = next(int(line[2]) for line in lines if line[:2] == ['element', 'vertex'])
+    kinds = {'float': '<f4', 'double': '<f8', 'uchar': 'u1'}
+    record = np.dtype([(line[2], kinds[line[1]]) for line in lines if line[0] == 'property'])
+    vertices = np.frombuffer(body, record, count)
+    return np.stack([vertices[axis] for axis in 'xyz'], axis=1).astype(float)
+
+
+@pytest.fixture(scope='module')
+def registered(shared):
+    @cache
+    def run(name):
+        folder = shared / 'data' / 'kinect_sfm' / name
+        source, target = read_ply(folder / 'sfm.ply'), read_ply(folder / 'kinect.ply')
+        truth = Similarity.from_matrix(json.loads((folder / 'gt.json').read_text())['sfm_to_kinect'])
+        return source, target, truth, register(source, target)
+
+    return run
+
+
+@pytest.mark.parametrize('name', PAIRS)
+def test_a_real_pair_is_registered(registered, name):
+    source, _, truth, result = registered(name)
+    assert result.accepted, result.reason
+    offsets = result.transform.apply(source) - truth.apply(source)
+    assert np.linalg.norm(offsets, axis=1).mean() < 0.10  # metres
+    assert np.degrees(rotation_angle(result.transform.rotation.T @ truth.rotation)) < 5.0
+    assert abs(np.log(result.scale / truth.scale)) < 0.06
+
+
+def test_different_places_are_not_mistaken_for_each_other(registered):
+    source = registered('crop_chair_000')[0]
+    target = registered('crop_table_195')[1]
+    first_attempt = replaced(profile(), {'time_budget': 1e-3})  # all attempts on clouds that nothing fits take long
+    assert not register(source, target, first_attempt).accepted
