@@ -21,7 +21,7 @@ from csgm_ros.ransac import ransac
 from csgm_ros.scale import normalizations, radius, search_range
 from csgm_ros.search import search
 from csgm_ros.structure import Structure, extract
-from csgm_ros.types import RegistrationResult, Similarity, StructureGraph, Verdict
+from csgm_ros.types import RegistrationResult, Similarity, StructureGraph
 from csgm_ros.verdict import Judge
 from csgm_ros.voxels import voxel_means
 
