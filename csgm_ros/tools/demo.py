@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -160,10 +161,23 @@ def _conclude(pair: Pair, published, folder: Path, say: _Narrator) -> int:
 
 def _isolate() -> None:
     """Keep this process and its children apart from any other ROS system."""
-    os.environ['ROS_DOMAIN_ID'] = str(20 + os.getpid() % 80)
+    os.environ['ROS_DOMAIN_ID'] = str(_free_domain())
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ.pop('ROS_LOCALHOST_ONLY', None)
     os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(resources.config_file('fastdds.xml')))
+
+
+def _free_domain() -> int:
+    """Return a ROS domain without a participant: the first one binds UDP port 7410 + 250 * domain (DDSI-RTPS 9.6)."""
+    start = os.getpid()
+    for domain in (1 + (start + step) % 99 for step in range(99)):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(('', 7410 + 250 * domain))
+            except OSError:
+                continue
+            return domain
+    raise DemoError('every ROS domain of this machine is in use')
 
 
 def _domain() -> str:
