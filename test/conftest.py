@@ -1,21 +1,37 @@
 """Fixtures of all tests; ROS tests run over real DDS in a domain of their own, node and test in two processes."""
 
+import fcntl
 import os
 import signal
+import tempfile
 from pathlib import Path
 
 import pytest
+
+DOMAIN_LOCK = pytest.StashKey()
+
+DOMAINS = range(2, 20)  # `csgm demo` takes those from 20 on
 
 
 def pytest_configure(config):
     # A shell that starts the tests in the background ignores SIGINT, which the processes under test would inherit.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    # 1..100: ids above leave the ports that Linux keeps clear; xdist workers share their parent's id and differ by one.
-    worker = os.environ.get('PYTEST_XDIST_WORKER', 'gw0')
-    root = os.getppid() if 'PYTEST_XDIST_WORKER' in os.environ else os.getpid()
-    base = int(os.environ.get('ROS_DOMAIN_ID_BASE', 1 + root % 24 * 4))
-    os.environ['ROS_DOMAIN_ID'] = str(base + int(worker[2:]) % 4)
+    config.stash[DOMAIN_LOCK] = lock = free_domain()
+    os.environ['ROS_DOMAIN_ID'] = lock.name.rpartition('_')[2]
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+
+
+def free_domain():
+    """Return the open, locked file of a domain that no other test session on this machine is in."""
+    for domain in DOMAINS:
+        file = (Path(tempfile.gettempdir()) / f'csgm_test_domain_{domain}').open('w')
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            file.close()
+        else:
+            return file
+    raise pytest.UsageError(f'{len(DOMAINS)} test sessions are running already')
 
 
 @pytest.fixture(scope='session')

@@ -129,7 +129,8 @@ def test_simulated_time_governs_stamps(start, ros):
 
 def test_clouds_of_a_moving_sensor_are_merged_in_a_fixed_frame(start, ros):
     tf2 = pytest.importorskip('tf2_msgs.msg', reason='test/build_tf2_msgs.sh was not run')
-    start('-p', 'fixed_frame:=map', '-p', 'target_window:=2', '-p', 'window_voxel:=0.0', '-p', 'autostart:=true')
+    settings = ('fixed_frame:=map', 'target_window:=2', 'window_voxel:=0.0', 'autostart:=true')
+    start('-r', '__ns:=/moving', *(word for setting in settings for word in ('-p', setting)))
     source, target, truth = easy_pair()
     poses = [
         Similarity(1.0, np.eye(3), np.zeros(3)),
@@ -139,13 +140,13 @@ def test_clouds_of_a_moving_sensor_are_merged_in_a_fixed_frame(start, ros):
     moving = ros.publisher('/tf', RELIABLE, tf2.TFMessage)
     mount = transform_message(header('body', 0), 'camera', Similarity(1.0, np.eye(3), np.array([0.0, 0.0, 0.1])))
     fixed = ros.send('/tf_static', tf2.TFMessage(transforms=[mount]))
-    with Client() as client:
+    with Client('/moving/csgm') as client:
         until(lambda: client.state() == 'active', 'the node to start itself', 180.0)
         until(lambda: moving.get_subscription_count() and fixed.get_subscription_count(), 'TF to be heard')
         for pose, stamp in zip(poses, stamps, strict=True):
             moving.publish(tf2.TFMessage(transforms=[transform_message(header('map', stamp), 'body', pose)]))
-        kept = [ros.send('/source', cloud_message(header('sfm', stamps[0]), source))]
-        publisher = ros.publisher('/target')
+        kept = [ros.send('/moving/source', cloud_message(header('sfm', stamps[0]), source))]
+        publisher = ros.publisher('/moving/target')
         until(publisher.get_subscription_count, 'a subscription')
         for count, (pose, stamp) in enumerate(zip(poses, stamps, strict=True), start=1):
             part = target[count - 1 :: 2]
@@ -154,11 +155,11 @@ def test_clouds_of_a_moving_sensor_are_merged_in_a_fixed_frame(start, ros):
             wait_heard(client, 1, count)
         answer = client.register()
         assert answer.success, answer.message
-        fused = ros.listen('/csgm/fused', PointCloud2).wait()
+        fused = ros.listen('/moving/csgm/fused', PointCloud2).wait()
         assert fused.header.frame_id == 'map'
         parts = np.concatenate([target[0::2], target[1::2]])
         np.testing.assert_allclose(decode(fused).points[: len(target)], parts, atol=1e-4)
-        matrix = ros.listen('/csgm/similarity', Float64MultiArray).wait().data
+        matrix = ros.listen('/moving/csgm/similarity', Float64MultiArray).wait().data
         assert displacement(Similarity.from_matrix(np.array(matrix).reshape(4, 4)), truth, source) < 0.02
 
         publisher.publish(cloud_message(header('camera', 99 * 10**9), target))
