@@ -45,8 +45,7 @@ bench: $(READY)
 	@set -e; for script in $$(grep -l __main__ $(BENCH)/*.py); do echo "== $$script"; $(PY) "$$script" $(ARGS); done
 
 config: $(READY)
-	@$(PY) -m csgm_ros.tools.cli config > config/csgm.yaml
-	@$(PY) -m csgm_ros.tools.cli config --profile paper > config/paper.yaml
+	@$(PY) .ci/defaults.py
 
 lock: $(READY)
 	@.ci/lock.sh '$(VENV)' > requirements.lock.new && mv requirements.lock.new requirements.lock

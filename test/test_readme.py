@@ -9,6 +9,7 @@ import pytest
 
 from csgm_ros.config import Config, NodeConfig, flatten
 from csgm_ros.tools.cli import ROS_COMMANDS
+from csgm_ros.tools.config_files import scalar
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / 'README.md').read_text()
@@ -28,7 +29,7 @@ def test_parameters_and_their_defaults_are_those_of_the_configuration():
     told = re.findall(r'^\| `([\w.]+)` \| `(.*?)` \|', section('Parameters'), re.MULTILINE)
     assert len(told) > 10
     for name, default in told:
-        assert default == str(defaults[name]).replace('True', 'true').replace('False', 'false'), name
+        assert default == scalar(defaults[name]), f'{name}: run `make config`'
 
 
 def test_topics_are_those_of_the_node():

@@ -143,7 +143,7 @@ def _section(config: Any, indent: str) -> list[str]:
             summary = type(value).__doc__.strip().splitlines()[0]
             lines += ['', *_comment(summary, indent), f'{indent}{spec.name}:', *_section(value, indent + '  ')]
         else:
-            lines += [*_comment(described(fields[spec.name]), indent), f'{indent}{spec.name}: {_scalar(value)}']
+            lines += [*_comment(described(fields[spec.name]), indent), f'{indent}{spec.name}: {scalar(value)}']
     return lines
 
 
@@ -163,11 +163,12 @@ def _comment(text: str, indent: str) -> list[str]:
     return [f'{indent}# {line}' for line in lines]
 
 
-def _scalar(value: Any) -> str:
+def scalar(value: Any) -> str:
+    """Return one value as YAML."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, (tuple, list)):
-        return f'[{", ".join(_scalar(item) for item in value)}]'
+        return f'[{", ".join(scalar(item) for item in value)}]'
     if isinstance(value, float):
         text = repr(value)
         return text if '.' in text or 'e' not in text else text.replace('e', '.0e')
