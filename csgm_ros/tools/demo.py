@@ -170,7 +170,7 @@ def _isolate() -> None:
 def _free_domain() -> int:
     """Return a ROS domain without a participant: the first one binds UDP port 7410 + 250 * domain (DDSI-RTPS 9.6)."""
     start = os.getpid()
-    for domain in (1 + (start + step) % 99 for step in range(99)):
+    for domain in (20 + (start + step) % 80 for step in range(80)):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
                 probe.bind(('', 7410 + 250 * domain))
