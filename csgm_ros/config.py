@@ -197,6 +197,12 @@ class VerificationConfig(Checked):
     min_margin: float = param(
         1.25, 'score over that of the best different hypothesis below which a result is rejected', low=1.0, high=100.0
     )
+    min_margin_again: float = param(
+        1.5,
+        'the same when the clouds were smoothed or other lengths tried: many tries find more by chance',
+        low=1.0,
+        high=100.0,
+    )
     min_lead: float = param(
         0.02, 'score above that of the best different hypothesis below which a result is rejected', low=0.0, high=1.0
     )

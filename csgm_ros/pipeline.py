@@ -124,7 +124,7 @@ def _attempt(clouds, attempt: Attempt, config: Config, seed: int, clock: Clock) 
     clock.enter('graph matching')
     match = partners.match(source, target, config, clock)
     clock.enter('transformation estimation')
-    judge = Judge(clouds, units, config, rng)
+    judge = Judge(clouds, units, config, rng, again=attempt != Attempt())
     scales = search_range(*units, config.scale, config.hypotheses.scale_factor, attempt.relative)
     estimate = _paper_estimate if config.hypotheses.sources == 'ransac' else _searched_estimate
     best, verdict = estimate(source, target, match, judge, scales, config, rng, clock)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from csgm_ros import icp, nearest, refinement
-from csgm_ros.config import Config, VerificationConfig
+from csgm_ros.config import Config
 from csgm_ros.preprocess import prepare
 from csgm_ros.types import Similarity, Verdict
 
@@ -53,6 +53,8 @@ class Judge:
     config : Config
     rng : numpy.random.Generator
         Draws the points that are measured.
+    again : bool, optional
+        Not the first look at these clouds: ask for a wider margin.
     """
 
     def __init__(
@@ -61,8 +63,11 @@ class Judge:
         normalizations: tuple[Similarity, Similarity],
         config: Config,
         rng: np.random.Generator,
+        *,
+        again: bool = False,
     ):
         part = config.verification
+        self._min_margin = part.min_margin_again if again else part.min_margin
         self._config, self._target_radius = config, 1.0 / normalizations[1].scale
         self._own_unit = normalizations[0].scale / normalizations[1].scale
         self._source, self._target = self._sides = tuple(
@@ -128,7 +133,7 @@ class Judge:
         rival = max([part.chance, *rivals])
         # a share counted on fewer points is known less well, with their root
         doubt = np.sqrt(part.fine_samples / min(part.fine_samples, *map(len, self._samples)))
-        accepted, reason = _decide(fit, rival, part, part.min_lead * doubt)
+        accepted, reason = _decide(fit, rival, part.min_fitness, self._min_margin, part.min_lead * doubt)
         own, bounds = transform.scale * self._own_unit, self._config.scale
         if bounds.estimate_scale and not bounds.scale_min <= own <= bounds.scale_max:  # refinement can leave them
             accepted = False
@@ -144,15 +149,15 @@ class Judge:
         return float((offset**2).sum(1).mean()) > self._config.verification.different**2
 
 
-def _decide(fit: Fit, rival: float, config: VerificationConfig, min_lead: float) -> tuple[bool, str]:
+def _decide(fit: Fit, rival: float, min_fitness: float, min_margin: float, min_lead: float) -> tuple[bool, str]:
     smaller = min(fit.fitness_source, fit.fitness_target)
     margin, lead = fit.closeness / rival, fit.closeness - rival
-    if smaller < config.min_fitness:
+    if smaller < min_fitness:
         return False, (
             f'too little overlap: only {smaller:.0%} of one cloud lies on the other '
-            f'(verification.min_fitness asks for {config.min_fitness:.0%})'
+            f'(verification.min_fitness asks for {min_fitness:.0%})'
         )
-    if margin < config.min_margin or lead < min_lead:
+    if margin < min_margin or lead < min_lead:
         return False, (
             f'ambiguous: it fits only {margin:.2f} times as well as a different transform, or as chance does '
             '(unrelated clouds, a symmetric or a flat scene)'
