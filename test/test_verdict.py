@@ -70,7 +70,9 @@ def test_both_sides_are_told_apart_and_the_smaller_counts():
     assert forth.fitness_target > 0.9 > 0.75 > forth.fitness_source
     assert back.fitness_source == pytest.approx(forth.fitness_target, abs=0.02)
     assert back.fitness_target == pytest.approx(forth.fitness_source, abs=0.02)
-    assert forth.closeness < forth.fitness_source
+    both = Judge((whole, room(2, 1000)), units, CONFIG, np.random.default_rng(0)).fit(Similarity.identity())
+    assert forth.closeness < 0.85 * both.closeness
+    assert back.closeness < 0.85 * both.closeness
 
 
 def test_far_away_nothing_fits(room_judge):
