@@ -1,5 +1,6 @@
 """Fixtures of all tests; ROS tests run over real DDS in a domain of their own, node and test in two processes."""
 
+import contextlib
 import fcntl
 import os
 import signal
@@ -29,12 +30,9 @@ def pytest_configure(config):
 def free_domain():
     """Return the open, locked file of a domain that no other test session on this machine is in."""
     for domain in DOMAINS:
-        file = (Path(tempfile.gettempdir()) / f'csgm_test_domain_{domain}').open('w')
-        try:
+        with contextlib.suppress(OSError):  # locked, or left by another user
+            file = (Path(tempfile.gettempdir()) / f'csgm_test_domain_{domain}').open('w')
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            file.close()
-        else:
             return file
     raise pytest.UsageError(f'{len(DOMAINS)} test sessions are running already')
 

@@ -195,6 +195,6 @@ class TestReplay:
         assert status['target']['rejected'] == '0'
         answer = active.register()
         offline = csgm_ros.register(*bags.read_pair(tmp_path / 'bag', '/map', '/points'))
-        print('one Kinect frame of another part of the kitchen:', answer.message)
+        print('one Kinect frame against the SfM map:', answer.message)
         assert answer.success == offline.accepted
         assert status['target']['heard'] == '10'

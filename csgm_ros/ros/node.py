@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -41,6 +42,7 @@ class CsgmNode(SafeLifecycleNode):
         self._inputs = [self._source, self._target]
         self._outputs: Outputs | None = None
         self._static_transform, self._frames = StaticTransform(self), Frames(self)
+        self._pairing = threading.Lock()
         self._paired: tuple[int, int] | None = None  # clouds heard of each input at the last automatic request
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         busy = ReentrantCallbackGroup()  # a waiting ~/register must not keep a second one from its answer
@@ -182,17 +184,20 @@ class CsgmNode(SafeLifecycleNode):
 
     def _on_cloud(self) -> None:
         """Start a registration where the trigger parameter asks for one."""
-        trigger, counts = self._settings.node_config.trigger, (self._source.heard, self._target.heard)
-        wanted = {
-            'on_request': False,
-            'on_first_pair': self._paired is None,
-            'on_new_source': self._paired is None or self._paired[0] != counts[0],
-            'on_every_pair': True,
-        }[trigger]
-        request = self._request() if wanted else ''
-        if isinstance(request, Request):
-            self._paired = counts
-            self._registration.submit(request)
+        trigger = self._settings.node_config.trigger
+        if trigger == 'on_request':
+            return
+        with self._pairing:  # the two inputs are heard in different threads
+            counts = self._source.heard, self._target.heard
+            wanted = {
+                'on_first_pair': self._paired is None,
+                'on_new_source': self._paired is None or self._paired[0] != counts[0],
+                'on_every_pair': True,
+            }[trigger]
+            request = self._request() if wanted else ''
+            if isinstance(request, Request):
+                self._paired = counts
+                self._registration.submit(request)
 
     # Outputs
 
