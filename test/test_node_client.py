@@ -11,7 +11,7 @@ from ros_helpers.scene import send_pair, wait_heard
 
 from csgm_ros.ros import client as calls
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 
 def csgm(*arguments):

@@ -16,7 +16,7 @@ from std_msgs.msg import String
 from csgm_ros.ros.client import Client
 from csgm_ros.ros.cloud_msgs import cloud_message, header
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 
 @pytest.fixture

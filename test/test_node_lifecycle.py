@@ -12,7 +12,7 @@ from ros_helpers.waiting import until
 from csgm_ros.ros.client import Client
 from csgm_ros.ros.cloud_msgs import cloud_message, header
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 
 def test_round_trips_leave_nothing_behind(node, client, ros):

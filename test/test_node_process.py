@@ -27,7 +27,7 @@ from csgm_ros.ros.client import Client
 from csgm_ros.ros.cloud_msgs import cloud_message, header, transform_message
 from csgm_ros.types import Similarity
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 
 @pytest.fixture

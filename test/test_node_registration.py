@@ -25,7 +25,7 @@ from csgm_ros.ros.cloud_msgs import cloud_message, header
 from csgm_ros.ros.frames import rigid
 from csgm_ros.types import Similarity
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 
 def transform_of(message):
