@@ -63,6 +63,9 @@ class SupervoxelConfig(Checked):
         0.03, 'edge of the voxels that supervoxels are grown from', unit=RADIUS, low=0.002, high=0.2
     )
     seed_size: float = param(0.20, 'supervoxel radius: spacing of the seeds', unit=RADIUS, low=0.01, high=1.0)
+    max_nodes: int = param(
+        160, 'supervoxels of a cloud from which seed_size is enlarged to have fewer', low=10, high=1000
+    )
     spatial_weight: float = param(0.4, 'weight of the distance to the supervoxel centre', low=0.0, high=100.0)
     normal_weight: float = param(1.0, 'weight of the angle between the normals', low=0.0, high=100.0)
     refinements: int = param(0, 'rounds of re-seeding at the centroids', low=0, high=10)
@@ -196,6 +199,9 @@ class VerificationConfig(Checked):
     )
     min_margin: float = param(
         1.25, 'score over that of the best different hypothesis below which a result is rejected', low=1.0, high=100.0
+    )
+    certain_margin: float = param(
+        1.7, 'margin from which no further source of hypotheses is asked for rivals', low=1.0, high=100.0
     )
     min_margin_again: float = param(
         1.5,

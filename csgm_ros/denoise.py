@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from csgm_ros.types import Similarity
 from csgm_ros.voxels import voxel_means
 
 VOXEL = 0.02  # of the radius: evens out the density before neighbours are counted
 NEIGHBORS = 10
+FAR = 2.0  # radii
 
 
 def dense_part(points: np.ndarray, factor: float) -> np.ndarray:
@@ -29,11 +31,17 @@ def dense_part(points: np.ndarray, factor: float) -> np.ndarray:
     """
     if factor <= 0.0:
         return points
-    centred = points - points.mean(0)
-    means = voxel_means(points, VOXEL * float(np.sqrt((centred**2).sum(1).max())))
+    distances = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    # not the largest distance: one stray would make the voxels larger than the cloud
+    means = voxel_means(points, VOXEL * 1.2 * float(np.quantile(distances, 0.98)))
     distances = cKDTree(means).query(means, k=min(NEIGHBORS, len(means)))[0][:, -1]
     kept = means[distances <= factor * np.median(distances)]
     return kept if len(kept) >= 3 else points
+
+
+def without_far_strays(points: np.ndarray, unit: Similarity) -> np.ndarray:
+    """Return the points within twice the radius that :func:`dense_part` left: what is beyond only costs memory."""
+    return points[np.linalg.norm(unit.apply(points), axis=1) <= FAR]
 
 
 def thickness(points: np.ndarray, neighbors: int = 40) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from csgm_ros import partners
 from csgm_ros.clock import Clock, Progress
 from csgm_ros.config import Config, profile, replaced
-from csgm_ros.denoise import dense_part, smoothed, thickness
+from csgm_ros.denoise import dense_part, smoothed, thickness, without_far_strays
 from csgm_ros.errors import DegenerateCloudError
 from csgm_ros.hypotheses import from_triples
 from csgm_ros.partners import GraphMatch
@@ -116,6 +116,8 @@ def _attempt(clouds, attempt: Attempt, config: Config, seed: int, clock: Clock) 
     rng = np.random.default_rng(seed)
     clock.enter('scale normalization')
     units = normalizations(*(dense_part(cloud, config.preprocess.stray_factor) for cloud in clouds), config.scale)
+    if config.preprocess.stray_factor > 0.0:
+        clouds = tuple(without_far_strays(cloud, unit) for cloud, unit in zip(clouds, units, strict=True))
     if attempt.smoothing:
         smooth = [smoothed(unit.apply(cloud), attempt.smoothing) for cloud, unit in zip(clouds, units, strict=True)]
         clouds = tuple(unit.inverse().apply(cloud) for cloud, unit in zip(smooth, units, strict=True))
@@ -139,12 +141,17 @@ def _attempt(clouds, attempt: Attempt, config: Config, seed: int, clock: Clock) 
 
 
 def _structures(clouds, units, attempt: Attempt, config: Config, rng) -> tuple[Structure, Structure]:
-    """Step 2 and the graphs of step 3, for both clouds at a time."""
+    """Step 2 and the graphs of step 3, for both clouds at a time, with no more nodes than matching can take."""
+    names, relatives = ('source', 'target'), (attempt.relative, 1.0)
     with ThreadPoolExecutor(1 if config.threads == 1 else 2) as pool:
-        sides = pool.map(
-            _structure, ('source', 'target'), clouds, units, (config,) * 2, rng.spawn(2), (attempt.relative, 1.0)
-        )
-        return tuple(sides)
+        for _ in range(3):
+            sides = tuple(pool.map(_structure, names, clouds, units, (config,) * 2, rng.spawn(2), relatives))
+            crowding = max(len(side.graph.nodes) for side in sides) / config.supervoxels.max_nodes
+            if crowding <= 1.0:
+                break
+            seed_size = min(config.supervoxels.seed_size * 1.1 * np.sqrt(crowding), 1.0)
+            config = replaced(config, {'supervoxels.seed_size': float(seed_size)})
+    return sides
 
 
 def _structure(name: str, *inputs) -> Structure:
@@ -185,7 +192,8 @@ def _searched_estimate(
         )
         hypotheses = from_triples(found, rng, part, scales)
         best, verdict = judge.consider(search(hypotheses, source.surface, target.surface, config, rng, clock))
-        if verdict.accepted or not clock.tick():
+        # a narrow margin may only mean that the best rival has not been found yet
+        if (verdict.accepted and verdict.margin >= config.verification.certain_margin) or not clock.tick():
             break
     return best, verdict
 
