@@ -63,7 +63,7 @@ def axis_of(xx, xy, xz, yy, yz, zz, largest):
     mean = (xx + yy + zz) / 3
     a, b, c = xx - mean, yy - mean, zz - mean
     spread = np.sqrt((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
-    if not spread > 0:
+    if not spread > 1e-100:  # below, its cube vanishes
         return 0.0, 0.0, 0.0
     determinant = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
     angle = np.arccos(min(1.0, max(-1.0, determinant / (2 * spread**3)))) / 3
