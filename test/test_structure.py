@@ -1,7 +1,5 @@
 """The structure of one cloud: how many nodes, how they are described, what becomes of noise."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from scenes import ball, room
@@ -9,7 +7,6 @@ from scenes import ball, room
 from csgm_ros import pipeline
 from csgm_ros.clock import Clock
 from csgm_ros.config import profile, replaced
-from csgm_ros.errors import DegenerateCloudError
 from csgm_ros.partners import match, of_features, of_nodes
 from csgm_ros.scale import normalizations
 from csgm_ros.structure import extract
@@ -51,14 +48,6 @@ def test_no_cloud_has_more_nodes_than_matching_can_take():
     attempt = pipeline.Attempt()
     sides = pipeline._structures((cloud, cloud), units, attempt, config, np.random.default_rng(0))
     assert all(20 <= len(side.graph.nodes) <= 60 for side in sides)
-
-
-def test_supervoxels_as_large_as_the_cloud_are_refused():
-    cloud, config = room(1, 600), profile()
-    unit = normalizations(cloud, cloud, config.scale)[0]
-    tiny = dataclasses.replace(unit, scale=unit.scale / 25)  # the whole room within one supervoxel
-    with pytest.raises(DegenerateCloudError, match='voxel'):
-        extract(cloud, tiny, config, np.random.default_rng(0))
 
 
 def test_partners_hold_every_match_and_enough_right_pairs(structures):
