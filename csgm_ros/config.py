@@ -168,22 +168,18 @@ class VerificationConfig(Checked):
 
     coarse_samples: int = param(150, 'points of either side for the coarse score', low=20, high=100000)
     coarse_distance: float = param(
-        0.08, 'distance at which a point counts nothing in the coarse score', unit=RADIUS, low=0.005, high=0.12
+        0.08, 'distance that counts nothing in the coarse score', unit=RADIUS, low=0.005, high=0.12
     )
     refined: int = param(60, 'best different hypotheses that get a short ICP', low=1, high=10000)
     samples: int = param(700, 'points of either side in the short ICP and its score', low=20, high=1000000)
     gates: tuple[float, ...] = param((0.12, 0.08, 0.05), 'gates of the short ICP', unit=RADIUS, low=0.001, high=0.12)
     score_distance: float = param(
-        0.04, 'distance at which a point counts nothing after the short ICP', unit=RADIUS, low=0.001, high=0.12
+        0.04, 'distance that counts nothing after the short ICP', unit=RADIUS, low=0.001, high=0.12
     )
     finalists: int = param(6, 'best different hypotheses that are measured on the fine clouds', low=1, high=100)
-    distinct: float = param(
-        0.1, 'RMS displacement below which two hypotheses are the same', unit=RADIUS, low=0.01, high=1.0
-    )
+    distinct: float = param(0.1, 'RMS displacement up to which two hypotheses are one', unit=RADIUS, low=0.01, high=1.0)
     fine_voxel_size: float = param(0.012, 'voxel grid of the fine clouds', unit=RADIUS, low=0.001, high=0.2)
-    fine_samples: int = param(
-        4000, 'points of either side that are measured on the fine clouds', low=100, high=10000000
-    )
+    fine_samples: int = param(4000, 'points of either side that are measured', low=100, high=10000000)
     inlier_distance: float = param(
         0.02, 'a point lies on the other cloud when it is this close', unit=RADIUS, low=0.001, high=0.12
     )
@@ -194,9 +190,7 @@ class VerificationConfig(Checked):
     min_fitness: float = param(
         0.15, 'smaller fitness of the two sides below which a result is rejected', low=0.0, high=1.0
     )
-    chance: float = param(
-        0.05, 'score that clouds reach by chance: the least that a result is compared with', low=0.001, high=1.0
-    )
+    chance: float = param(0.05, 'score of chance, the least that a result is compared with', low=0.001, high=1.0)
     min_margin: float = param(
         1.25, 'score over that of the best different hypothesis below which a result is rejected', low=1.0, high=100.0
     )
