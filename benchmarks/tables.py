@@ -146,7 +146,18 @@ def report(name: str, title: str, body: str, folder: Path) -> None:
         collect()
 
 
-ORDER = ('database_c', 'database_b', 'same_source', 'stress', 'verdict', 'ablation', 'profile_stages', 'matching')
+ORDER = (
+    'database_c',
+    'database_b',
+    'same_source',
+    'stress',
+    'verdict',
+    'ablation',
+    'profile_stages',
+    'matching',
+    'supervoxels',
+    'esf',
+)
 
 
 def collect() -> None:
