@@ -172,8 +172,10 @@ def _paper_estimate(source: Structure, target: Structure, match: GraphMatch, jud
         estimate_scale=config.scale.estimate_scale,
     )
     # RANSAC's winner has no rivals of its own, and without rivals no verdict: search for some
-    rivals = from_triples(partners.of_nodes(source, target, match, 1), rng, config.hypotheses, scales)
-    judge.consider(search(rivals, source.surface, target.surface, config, rng, clock))
+    part = config.hypotheses
+    for found in (partners.of_nodes(source, target, match, part.partners), partners.of_features(source, target, part)):
+        rivals = from_triples(found, rng, part, scales)
+        judge.consider(search(rivals, source.surface, target.surface, config, rng, clock))
     best = judge.polish(start, config.scale.estimate_scale and config.icp.estimate_scale)
     return best, judge.verdict(best, judge.fit(best))
 
