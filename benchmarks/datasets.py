@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
@@ -15,6 +14,7 @@ from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from benchmarks.meshes import Mesh, random_rotation, shared_folder
+from csgm_ros.tools.files import read_cloud
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,21 +166,9 @@ def real_names() -> tuple[str, ...]:
 def real_pair(name: str) -> Pair:
     """Read a real pair of ``$CSGM_SHARED/data/kinect_sfm``: the SfM cloud to the Kinect cloud in metres."""
     folder = shared_folder() / 'data' / 'kinect_sfm' / name
-    source, target = read_ply(folder / 'sfm.ply'), read_ply(folder / 'kinect.ply')
+    source, target = (read_cloud(folder / file).points for file in ('sfm.ply', 'kinect.ply'))
     truth = np.array(json.loads((folder / 'gt.json').read_text())['sfm_to_kinect'])
     return Pair(name, source, target, truth, source, kind='real')
-
-
-def read_ply(path: Path) -> np.ndarray:
-    """Read the (N, 3) float64 coordinates of a binary little-endian PLY file of floats and uchars."""
-    data = path.read_bytes()
-    header, _, body = data.partition(b'end_header\n')
-    lines = [line.split() for line in header.decode('ascii').splitlines()]
-    count = next(int(line[2]) for line in lines if line[:2] == ['element', 'vertex'])
-    kinds = {'float': '<f4', 'double': '<f8', 'uchar': 'u1'}
-    record = np.dtype([(line[2], kinds[line[1]]) for line in lines if line[0] == 'property'])
-    vertices = np.frombuffer(body, record, count)
-    return np.stack([vertices[axis] for axis in 'xyz'], axis=1).astype(float)
 
 
 def unrelated(source: Pair, target: Pair) -> Pair:

@@ -21,7 +21,7 @@ from csgm_ros.ransac import ransac
 from csgm_ros.scale import normalizations, radius, search_range
 from csgm_ros.search import search
 from csgm_ros.structure import Structure, extract
-from csgm_ros.types import RegistrationResult, Similarity, StructureGraph
+from csgm_ros.types import RegistrationResult, Similarity, StructureGraph, Verdict
 from csgm_ros.verdict import Judge
 from csgm_ros.voxels import voxel_means
 
@@ -172,10 +172,8 @@ def _paper_estimate(source: Structure, target: Structure, match: GraphMatch, jud
         estimate_scale=config.scale.estimate_scale,
     )
     # RANSAC's winner has no rivals of its own, and without rivals no verdict: search for some
-    part = config.hypotheses
-    for found in (partners.of_nodes(source, target, match, part.partners), partners.of_features(source, target, part)):
-        rivals = from_triples(found, rng, part, scales)
-        judge.consider(search(rivals, source.surface, target.surface, config, rng, clock))
+    for _ in _judged(('graph', 'local'), source, target, match, judge, scales, config, rng, clock):
+        pass
     best = judge.polish(start, config.scale.estimate_scale and config.icp.estimate_scale)
     return best, judge.verdict(best, judge.fit(best))
 
@@ -184,20 +182,28 @@ def _searched_estimate(
     source: Structure, target: Structure, match: GraphMatch, judge: Judge, scales, config, rng, clock
 ):
     """Step 5 extended: many hypotheses from the graph, then from local features, verified from both sides."""
-    part = config.hypotheses
-    best, verdict = None, None
-    for kind in ('graph', 'local') if part.sources == 'both' else (part.sources,):
-        found = (
-            partners.of_nodes(source, target, match, part.partners)
-            if kind == 'graph'
-            else partners.of_features(source, target, part)
-        )
-        hypotheses = from_triples(found, rng, part, scales)
-        best, verdict = judge.consider(search(hypotheses, source.surface, target.surface, config, rng, clock))
+    sources = config.hypotheses.sources
+    kinds = ('graph', 'local') if sources == 'both' else (sources,)
+    for judged in _judged(kinds, source, target, match, judge, scales, config, rng, clock):
+        _, verdict = judged
         # a narrow margin may only mean that the best rival has not been found yet
         if (verdict.accepted and verdict.margin >= config.verification.certain_margin) or not clock.tick():
             break
-    return best, verdict
+    return judged
+
+
+def _judged(
+    kinds, source: Structure, target: Structure, match: GraphMatch, judge: Judge, scales, config: Config, rng, clock
+) -> Iterator[tuple[Similarity, Verdict]]:
+    """Yield the best so far and its verdict after the hypotheses of each kind of source."""
+    part = config.hypotheses
+    for kind in kinds:
+        if kind == 'graph':
+            found = partners.of_nodes(source, target, match, part.partners)
+        else:
+            found = partners.of_features(source, target, part)
+        hypotheses = from_triples(found, rng, part, scales)
+        yield judge.consider(search(hypotheses, source.surface, target.surface, config, rng, clock))
 
 
 def _evened(points: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from csgm_ros.similarity import umeyama
+from csgm_ros.similarity import umeyama, umeyama_many
 from csgm_ros.types import Similarity
 
 BATCH = 2000
@@ -45,7 +45,7 @@ def ransac(
     best, most = Similarity.identity(), -1
     for first in range(0, iterations, BATCH):
         triples = rng.random((min(BATCH, iterations - first), len(source))).argpartition(2, axis=1)[:, :3]
-        scales, rotations, translations = _fit_triples(source[triples], target[triples], estimate_scale)
+        scales, rotations, translations = umeyama_many(source[triples], target[triples], estimate_scale=estimate_scale)
         moved = scales[:, None, None] * np.einsum('nij,kj->nki', rotations, source) + translations[:, None]
         counts = (((moved - target) ** 2).sum(2) < inlier_distance**2).sum(1)
         winner = int(counts.argmax())
@@ -61,19 +61,3 @@ def ransac(
 
 def _inliers(transform: Similarity, source: np.ndarray, target: np.ndarray, distance: float) -> np.ndarray:
     return ((transform.apply(source) - target) ** 2).sum(1) < distance**2
-
-
-def _fit_triples(source: np.ndarray, target: np.ndarray, estimate_scale: bool):
-    """Umeyama's fit of (n, 3, 3) triples at once: scales (n,), rotations (n, 3, 3), translations (n, 3)."""
-    mean_source, mean_target = source.mean(1), target.mean(1)
-    centred = source - mean_source[:, None]
-    u, singular, vt = np.linalg.svd(np.einsum('nki,nkj->nij', target - mean_target[:, None], centred))
-    flip = np.sign(np.linalg.det(u) * np.linalg.det(vt))
-    u[:, :, 2] *= flip[:, None]
-    rotations = u @ vt
-    scales = np.ones(len(source))
-    if estimate_scale:
-        spread = np.maximum((centred**2).sum((1, 2)), 1e-12)
-        scales = (singular[:, 0] + singular[:, 1] + flip * singular[:, 2]) / spread
-    translations = mean_target - scales[:, None] * np.einsum('nij,nj->ni', rotations, mean_source)
-    return scales, rotations, translations

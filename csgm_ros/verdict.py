@@ -8,6 +8,7 @@ several transforms (a plane, a symmetry). All three show in how much better it f
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,6 +16,7 @@ from scipy.spatial import cKDTree
 from csgm_ros import icp, nearest, refinement
 from csgm_ros.config import Config
 from csgm_ros.preprocess import prepare
+from csgm_ros.similarity import displacement
 from csgm_ros.types import Similarity, Verdict
 
 CELL, REACH = 0.015, 0.045  # of the look-up table for the fine clouds, in radii
@@ -79,13 +81,16 @@ class Judge:
         self._min_cosine = float(np.cos(np.radians(part.max_normal_angle)))
         self._measured: list[tuple[Similarity, Fit]] = []
 
+    @cached_property
+    def _grids(self) -> tuple[nearest.NearestGrid, ...]:
+        return tuple(nearest.build(side.points, side.normals, CELL, REACH) for side in self._sides)
+
     def consider(self, finalists: np.ndarray) -> tuple[Similarity, Verdict]:
         """Refine and measure (F, 4, 4) transforms, and judge the best of all considered so far."""
         scaled = self._config.scale.estimate_scale
         if len(finalists):
-            grids = [nearest.build(side.points, side.normals, CELL, REACH) for side in self._sides]
             finalists = refinement.refine_all(
-                finalists, *grids, self._samples, GATES, self._min_cosine, estimate_scale=scaled
+                finalists, *self._grids, self._samples, GATES, self._min_cosine, estimate_scale=scaled
             )
         self._measured += [(found, self.fit(found)) for found in map(Similarity.from_matrix, finalists)]
         if not self._measured:
@@ -145,8 +150,7 @@ class Judge:
 
     def _differ(self, first: Similarity, second: Similarity) -> bool:
         points = self._source.points[self._samples[0]]
-        offset = first.apply(points) - second.apply(points)
-        return float((offset**2).sum(1).mean()) > self._config.verification.different**2
+        return displacement(first, second, points) > self._config.verification.different
 
 
 def _decide(fit: Fit, rival: float, min_fitness: float, min_margin: float, min_lead: float) -> tuple[bool, str]:

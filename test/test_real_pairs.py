@@ -9,19 +9,10 @@ import pytest
 from csgm_ros import profile, register
 from csgm_ros.config import replaced
 from csgm_ros.similarity import rotation_angle
+from csgm_ros.tools.files import read_cloud
 from csgm_ros.types import Similarity
 
 PAIRS = ('crop_chair_000', 'crop_table_195', 'kitchen_000_120')
-
-
-def read_ply(path):
-    header, _, body = path.read_bytes().partition(b'end_header\n')
-    lines = [line.split() for line in header.decode('ascii').splitlines()]
-    count = next(int(line[2]) for line in lines if line[:2] == ['element', 'vertex'])
-    kinds = {'float': '<f4', 'double': '<f8', 'uchar': 'u1'}
-    record = np.dtype([(line[2], kinds[line[1]]) for line in lines if line[0] == 'property'])
-    vertices = np.frombuffer(body, record, count)
-    return np.stack([vertices[axis] for axis in 'xyz'], axis=1).astype(float)
 
 
 @pytest.fixture(scope='module')
@@ -29,7 +20,7 @@ def registered(shared):
     @cache
     def run(name):
         folder = shared / 'data' / 'kinect_sfm' / name
-        source, target = read_ply(folder / 'sfm.ply'), read_ply(folder / 'kinect.ply')
+        source, target = (read_cloud(folder / file).points for file in ('sfm.ply', 'kinect.ply'))
         truth = Similarity.from_matrix(json.loads((folder / 'gt.json').read_text())['sfm_to_kinect'])
         return source, target, truth, register(source, target)
 
