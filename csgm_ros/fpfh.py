@@ -11,6 +11,7 @@ from numba import njit
 
 BINS = 11
 WIDTH = 3 * BINS
+MAX_POINTS = 15000  # more are thinned: a cloud that fills a volume has a hundred times the pairs of a surface
 
 
 def fpfh(points: np.ndarray, normals: np.ndarray, radius: float, places: np.ndarray) -> np.ndarray:
@@ -41,7 +42,7 @@ def fpfh(points: np.ndarray, normals: np.ndarray, radius: float, places: np.ndar
     if not len(points):
         return np.zeros((len(places), WIDTH))
     axis = int(np.argmax(np.ptp(points, axis=0)))
-    order = np.argsort(points[:, axis], kind='stable')
+    order = np.argsort(points[:, axis], kind='stable')[:: -(-len(points) // MAX_POINTS)]
     points = np.ascontiguousarray(points[order], np.float64)
     features = _spfh(points, np.ascontiguousarray(normals[order], np.float64), radius, axis)
     return _weighted_means(points, features, radius, np.ascontiguousarray(places, np.float64))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import room
 
-from csgm_ros.denoise import dense_part, smoothed, thickness, without_far_strays
+from csgm_ros.denoise import dense_part, smoothed, thickness, without_clutter, without_far_strays
 from csgm_ros.scale import radius
 from csgm_ros.types import Similarity
 
@@ -47,3 +47,34 @@ def test_smoothing_does_not_depend_on_the_order_of_the_points():
     sheet = noisy_sheet(0.05)
     shuffled = sheet[np.random.default_rng(2).permutation(len(sheet))]
     np.testing.assert_allclose(smoothed(shuffled, 40), smoothed(sheet, 40), atol=1e-12)
+
+
+def cluttered(cloud, share, seed=0):
+    """The cloud among points that fill the ball around it, and which are its own."""
+    rng = np.random.default_rng(seed)
+    count = round(share / (1.0 - share) * len(cloud))
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    ball = directions * np.cbrt(rng.uniform(size=(count, 1))) * radius(cloud) + cloud.mean(0)
+    order = rng.permutation(len(cloud) + count)
+    return np.vstack([cloud, ball])[order], order < len(cloud)
+
+
+@pytest.mark.parametrize('share', [0.1, 0.3, 0.6])
+def test_clutter_is_left_out_and_the_surface_kept(share):
+    cloud, own = cluttered(room(3, 1000), share)
+    kept = np.isin(cloud[:, 0], without_clutter(cloud)[:, 0])
+    assert kept[own].mean() > 0.95
+    assert kept[~own].mean() < 0.2
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+def test_a_cloud_without_clutter_keeps_every_point(seed):
+    for cloud in (room(seed, 1000), noisy_sheet(0.05, seed), np.random.default_rng(seed).uniform(size=(4000, 3))):
+        np.testing.assert_array_equal(without_clutter(cloud), cloud)
+
+
+def test_a_sparser_surface_is_no_clutter():
+    dense, sparse = room(3, 2000), room(4, 60) + np.array([6.0, 0.0, 0.0])
+    both = np.vstack([dense, sparse])
+    np.testing.assert_array_equal(without_clutter(both), both)
