@@ -184,11 +184,14 @@ class VerificationConfig(Checked):
         0.02, 'a point lies on the other cloud when it is this close', unit=RADIUS, low=0.001, high=0.12
     )
     max_normal_angle: float = param(40.0, 'and its normal differs by no more', unit='degree', low=1.0, high=90.0)
+    normal_tolerance: float = param(
+        1.5, 'nor by more than this', unit='median angle across a neighbourhood', low=0.1, high=1000.0
+    )
     different: float = param(
         0.2, 'RMS displacement from which another hypothesis makes a result ambiguous', unit=RADIUS, low=0.01, high=10.0
     )
     min_fitness: float = param(
-        0.15, 'smaller fitness of the two sides below which a result is rejected', low=0.0, high=1.0
+        0.2, 'smaller fitness of the two sides below which a result is rejected, less for noise', low=0.0, high=1.0
     )
     chance: float = param(0.05, 'score of chance, the least that a result is compared with', low=0.001, high=1.0)
     min_margin: float = param(
@@ -198,10 +201,7 @@ class VerificationConfig(Checked):
         1.7, 'margin from which no further source of hypotheses is asked for rivals', low=1.0, high=100.0
     )
     min_margin_again: float = param(
-        1.5,
-        'the same when the clouds were smoothed or other lengths tried: many tries find more by chance',
-        low=1.0,
-        high=100.0,
+        1.5, 'the same after smoothing or at other lengths: many tries find more by chance', low=1.0, high=100.0
     )
     min_lead: float = param(
         0.02, 'score above that of the best different hypothesis below which a result is rejected', low=0.0, high=1.0

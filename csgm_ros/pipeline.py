@@ -12,7 +12,7 @@ import numpy as np
 from csgm_ros import partners
 from csgm_ros.clock import Clock, Progress
 from csgm_ros.config import Config, profile, replaced
-from csgm_ros.denoise import dense_part, smoothed, thickness, without_far_strays
+from csgm_ros.denoise import dense_part, smoothed, thickness, without_clutter, without_far_strays
 from csgm_ros.errors import DegenerateCloudError
 from csgm_ros.hypotheses import from_triples
 from csgm_ros.partners import GraphMatch
@@ -25,6 +25,7 @@ from csgm_ros.types import RegistrationResult, Similarity, StructureGraph, Verdi
 from csgm_ros.verdict import Judge
 from csgm_ros.voxels import voxel_means
 
+MAX_SMOOTHING = 0.05  # of a cloud's points: averaged over more, little of its shape is left
 EVEN_VOXEL = 0.03  # of the radius: the density at which thickness is told
 
 
@@ -64,21 +65,44 @@ def register(
     config = config or profile()
     clouds = finite_points(source, 'source'), finite_points(target, 'target')
     clock = Clock(on_progress, config.time_budget)
-    best: RegistrationResult | None = None
+    clock.enter('scale normalization')
+    clouds, units = _normalized(clouds, config)
+    judge = Judge(clouds, units, config, np.random.default_rng(seed))
+    results: dict[int, RegistrationResult] = {}  # what each judge said last, by the smoothing of what it sees
     for number, attempt in enumerate(_attempts(clouds, config)):
+        if attempt.smoothing and results and results[0].accepted:
+            continue  # only rivals are wanted
         clock.begin(number)
         try:
-            result = _attempt(clouds, attempt, config, seed, clock)
+            result = _attempt(clouds, units, attempt, judge, config, seed, clock)
         except DegenerateCloudError:
-            if best is None:
+            if not results:
                 raise
             continue  # smoothed, or at other lengths, a sparse cloud may have no structure left
-        if best is None or _rank(result) > _rank(best):
-            best = result
-        if result.accepted or not clock.tick():
+        judge.look_again()
+        results[attempt.smoothing] = result = _updated(results.get(attempt.smoothing), result)
+        certain = attempt.smoothing or result.verdict.margin >= config.verification.certain_margin
+        if (result.accepted and certain) or not clock.tick():
             break
     clock.finish()
-    return dataclasses.replace(best, timings=clock.timings)
+    return dataclasses.replace(max(results.values(), key=_rank), timings=clock.timings)
+
+
+def _updated(earlier: RegistrationResult | None, result: RegistrationResult) -> RegistrationResult:
+    """Keep the graphs and matches of the look that found the transform."""
+    if earlier is None or not np.array_equal(earlier.T_target_source, result.T_target_source):
+        return result
+    return dataclasses.replace(earlier, verdict=result.verdict)
+
+
+def _normalized(clouds, config: Config) -> tuple[tuple[np.ndarray, ...], tuple[Similarity, ...]]:
+    """Step 1, and what would mislead it left out."""
+    factor = config.preprocess.stray_factor
+    if factor <= 0.0:
+        return clouds, normalizations(*clouds, config.scale)
+    clouds = tuple(map(without_clutter, clouds))
+    units = normalizations(*(dense_part(cloud, factor) for cloud in clouds), config.scale)
+    return tuple(without_far_strays(cloud, unit) for cloud, unit in zip(clouds, units, strict=True)), units
 
 
 class Attempt(NamedTuple):
@@ -97,12 +121,14 @@ class Attempt(NamedTuple):
 
 
 def _attempts(clouds: tuple[np.ndarray, np.ndarray], config: Config) -> Iterator[Attempt]:
-    """Yield the clouds as they are; while nothing is accepted, smoothed if noisy, then at other relative lengths."""
+    """Yield the clouds as they are; while nothing is certain, smoothed if noisy, then at other relative lengths."""
     yield Attempt()
     if config.hypotheses.sources == 'ransac':
         return
     if max(map(thickness, map(_evened, clouds))) > config.preprocess.noise_threshold:
-        yield from (Attempt(smoothing=neighbors) for neighbors in config.preprocess.smoothing)
+        fewest = min(map(len, clouds))
+        enough = (count for count in config.preprocess.smoothing if count <= MAX_SMOOTHING * fewest)
+        yield from (Attempt(smoothing=neighbors) for neighbors in enough)
     if config.scale.estimate_scale:
         yield from (Attempt(relative=relative) for relative in config.hypotheses.relative_scales)
 
@@ -111,22 +137,20 @@ def _rank(result: RegistrationResult) -> tuple[bool, float]:
     return result.accepted, result.verdict.margin
 
 
-def _attempt(clouds, attempt: Attempt, config: Config, seed: int, clock: Clock) -> RegistrationResult:
-    """Algorithm 1: one pass through the five steps."""
+def _attempt(
+    clouds, units, attempt: Attempt, judge: Judge, config: Config, seed: int, clock: Clock
+) -> RegistrationResult:
+    """Steps 2 to 5 of Algorithm 1."""
     rng = np.random.default_rng(seed)
-    clock.enter('scale normalization')
-    units = normalizations(*(dense_part(cloud, config.preprocess.stray_factor) for cloud in clouds), config.scale)
-    if config.preprocess.stray_factor > 0.0:
-        clouds = tuple(without_far_strays(cloud, unit) for cloud, unit in zip(clouds, units, strict=True))
+    clock.enter('structure extraction')
     if attempt.smoothing:
         smooth = [smoothed(unit.apply(cloud), attempt.smoothing) for cloud, unit in zip(clouds, units, strict=True)]
         clouds = tuple(unit.inverse().apply(cloud) for cloud, unit in zip(smooth, units, strict=True))
-    clock.enter('structure extraction')
+        judge = Judge(clouds, units, config, rng, smoothed=True)
     source, target = _structures(clouds, units, attempt, config, rng)
     clock.enter('graph matching')
     match = partners.match(source, target, config, clock)
     clock.enter('transformation estimation')
-    judge = Judge(clouds, units, config, rng, again=attempt != Attempt())
     scales = search_range(*units, config.scale, config.hypotheses.scale_factor, attempt.relative)
     estimate = _paper_estimate if config.hypotheses.sources == 'ransac' else _searched_estimate
     best, verdict = estimate(source, target, match, judge, scales, config, rng, clock)

@@ -40,7 +40,7 @@ def search(
     part = config.verification
     if len(hypotheses) == 0:
         return hypotheses
-    min_cosine = float(np.cos(np.radians(part.max_normal_angle)))
+    min_cosine = verification.cosine(part.max_normal_angle)
     grids = [nearest.build(cloud.points, cloud.normals, CELL, REACH) for cloud in (source, target)]
     orders = [rng.permutation(len(cloud.points)) for cloud in (source, target)]
     few = tuple(order[: part.coarse_samples] for order in orders)
