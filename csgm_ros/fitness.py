@@ -17,6 +17,7 @@ from csgm_ros.types import Similarity
 from csgm_ros.verification import cosine
 
 MIN_NORMAL_ANGLE = 15.0  # degrees that normals may always differ by: surfaces bend within the inlier distance
+SMOOTH_ROUGH = (7.5, 15.0)  # degrees between neighbouring normals: a surface; nothing but noise
 MAX_GAP = 2.0  # inlier distances; farther from its points a surface may be anywhere
 
 
@@ -33,7 +34,7 @@ class Surface:
         The points that are measured.
     gap : float
         How far aside of a point the surface still is: the distance to its fourth neighbour, as far as that exceeds
-        the inlier distance, and at most twice that.
+        the inlier distance, and at most twice that. 0 where noise hides how the surface goes on.
     bend : float
         Median angle in degrees between the normals across the neighbourhoods that these were estimated from:
         curvature, and noise.
@@ -82,12 +83,13 @@ def surface(points: np.ndarray, normalization: Similarity, config: Config, rng: 
     )
     angles = np.degrees(np.arccos(np.minimum(cosines, 1.0)))
     spacing = np.median(distances[:, :5][:, -1])
+    known = np.interp(np.median(angles[:, 0]), SMOOTH_ROUGH, (1.0, 0.0))
     return Surface(
         cloud.points,
         cloud.normals,
         tree,
         sample,
-        float(np.clip(spacing - part.inlier_distance, 0.0, MAX_GAP * part.inlier_distance)),
+        float(np.clip(spacing - part.inlier_distance, 0.0, MAX_GAP * part.inlier_distance) * known),
         float(np.median(angles[:, 1])),
         angles[:, 0],
     )
@@ -117,8 +119,8 @@ def fit(transform: Similarity, source: Surface, target: Surface, gate: float, ma
     max_angle : float
         Degrees that normals may differ by, up to their sign.
     """
-    forth = _distances(transform, source, target, max_angle)
-    back = _distances(transform.inverse(), target, source, max_angle) * transform.scale
+    forth = _distances(transform, source, target, gate, max_angle)
+    back = _distances(transform.inverse(), target, source, gate / transform.scale, max_angle) * transform.scale
     inliers = np.concatenate([side[side < gate] for side in (forth, back)])
     return Fit(
         float((forth < gate).mean()),
@@ -128,10 +130,11 @@ def fit(transform: Similarity, source: Surface, target: Surface, gate: float, ma
     )
 
 
-def _distances(transform: Similarity, moving: Surface, still: Surface, max_angle: float) -> np.ndarray:
-    """Distances of the moved sample to the other surface, (S,); infinite where the normals disagree."""
+def _distances(transform: Similarity, moving: Surface, still: Surface, gate: float, max_angle: float) -> np.ndarray:
+    """Distances of the moved sample to the other surface, (S,); infinite where far or where the normals disagree."""
     moved = transform.apply(moving.points[moving.sample])
-    distances, near = still.tree.query(moved)
+    distances, near = still.tree.query(moved, distance_upper_bound=np.hypot(gate, gate + still.gap))
+    near = np.minimum(near, len(still.points) - 1)  # where there is none, the distance is infinite
     normals = still.normals[near]
     height = ((moved - still.points[near]) * normals).sum(1)
     aside = np.sqrt(np.maximum(distances**2 - height**2, 0.0))

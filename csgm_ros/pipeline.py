@@ -70,8 +70,6 @@ def register(
     judge = Judge(clouds, units, config, np.random.default_rng(seed))
     results: dict[int, RegistrationResult] = {}  # what each judge said last, by the smoothing of what it sees
     for number, attempt in enumerate(_attempts(clouds, config)):
-        if attempt.smoothing and results and results[0].accepted:
-            continue  # only rivals are wanted
         clock.begin(number)
         try:
             result = _attempt(clouds, units, attempt, judge, config, seed, clock)
