@@ -23,14 +23,14 @@ class PreprocessConfig(Checked):
 
     stray_factor: float = param(
         2.5,
-        'points whose neighbours are farther than this do not count for the radius; 0 counts all (the paper)',
+        'points whose neighbours are farther than this do not count for the radius; 0 keeps clutter too (the paper)',
         unit='median distance',
         low=0.0,
         high=1000.0,
     )
     normal_neighbors: int = param(20, 'points from which a normal is estimated', low=3, high=200)
     noise_threshold: float = param(
-        0.6, 'thickness of the surface from which smoothing is tried while no result is accepted', low=0.0, high=1.0
+        0.6, 'thickness of the surface from which smoothing is tried while no result is certain', low=0.0, high=1.0
     )
     smoothing: tuple[int, ...] = param(
         (40, 100), 'neighbours to smooth a noisy cloud with, tried one after the other', low=3, high=1000
@@ -151,7 +151,7 @@ class HypothesesConfig(Checked):
         2.0, 'scales searched are those of Eq. (1), whose error reaches 42 %, times or by this', low=1.0, high=20.0
     )
     relative_scales: tuple[float, ...] = param(
-        (0.6, 1.6), 'lengths tried, relative to the configured ones, while no result is accepted', low=0.05, high=20.0
+        (0.6, 1.6), 'lengths tried, relative to the configured ones, while no result is certain', low=0.05, high=20.0
     )
     trials: int = param(1000000, 'random triples drawn per source', low=100, high=100000000)
     limit: int = param(10000, 'hypotheses kept per relative scale and source', low=10, high=1000000)
@@ -198,7 +198,7 @@ class VerificationConfig(Checked):
         1.25, 'score over that of the best different hypothesis below which a result is rejected', low=1.0, high=100.0
     )
     certain_margin: float = param(
-        1.7, 'margin from which no further source of hypotheses is asked for rivals', low=1.0, high=100.0
+        1.7, 'margin from which no more rivals are sought: in further hypotheses, at further looks', low=1.0, high=100.0
     )
     min_margin_again: float = param(
         1.5, 'the same after smoothing or at other lengths: many tries find more by chance', low=1.0, high=100.0

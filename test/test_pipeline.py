@@ -64,6 +64,33 @@ def test_recovers_a_part_of_the_scene_in_the_whole():
     assert_right(register(part, TRUTH.apply(SOURCE)), TRUTH, part)
 
 
+def test_clutter_around_the_source_does_not_mislead():
+    rng = np.random.default_rng(6)
+    clutter = rng.uniform(SOURCE.min(0), SOURCE.max(0), (len(SOURCE), 3))
+    assert_right(register(np.concatenate([SOURCE, clutter]), TRUTH.apply(TARGET)), TRUTH, SOURCE)
+
+
+def test_a_source_with_one_of_twenty_points_is_accepted():
+    thin = np.random.default_rng(7).permutation(SOURCE)[: len(SOURCE) // 20]
+    assert_right(register(thin, TRUTH.apply(TARGET)), TRUTH, SOURCE, 0.03)
+
+
+def looks(config):
+    """How often the structure was extracted for a registration, and its result."""
+    heard = []
+    result = register(SOURCE, TRUTH.apply(TARGET), config, on_progress=lambda *call: heard.append(call))
+    return len({fraction for stage, fraction in heard if stage == 'structure extraction'}), result
+
+
+def test_rivals_are_sought_at_other_lengths_until_the_margin_is_certain():
+    once, certain = looks(profile())
+    thrice, doubted = looks(replaced(profile(), {'verification.certain_margin': 100.0}))
+    assert (once, thrice) == (1, 3)
+    assert_right(doubted, TRUTH, SOURCE)
+    assert doubted.verdict.margin <= certain.verdict.margin
+    assert error(doubted.transform, certain.transform, SOURCE) < RIGHT
+
+
 def test_the_result_tells_what_it_found():
     result = registered()
     assert_right(result, TRUTH, SOURCE)
