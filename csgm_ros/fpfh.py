@@ -11,7 +11,7 @@ from numba import njit
 
 BINS = 11
 WIDTH = 3 * BINS
-MAX_POINTS = 15000  # more are thinned: a cloud that fills a volume has a hundred times the pairs of a surface
+MAX_POINTS = 3000  # more are thinned: pairs grow with their square, and what they tell does not
 
 
 def fpfh(points: np.ndarray, normals: np.ndarray, radius: float, places: np.ndarray) -> np.ndarray:

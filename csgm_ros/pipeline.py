@@ -20,7 +20,7 @@ from csgm_ros.preprocess import finite_points
 from csgm_ros.ransac import ransac
 from csgm_ros.scale import normalizations, radius, search_range
 from csgm_ros.search import search
-from csgm_ros.structure import Structure, extract
+from csgm_ros.structure import Structure, cut, describe
 from csgm_ros.types import RegistrationResult, Similarity, StructureGraph, Verdict
 from csgm_ros.verdict import Judge
 from csgm_ros.voxels import voxel_means
@@ -166,19 +166,19 @@ def _structures(clouds, units, attempt: Attempt, config: Config, rng) -> tuple[S
     """Step 2 and the graphs of step 3, for both clouds at a time, with no more nodes than matching can take."""
     names, relatives = ('source', 'target'), (attempt.relative, 1.0)
     with ThreadPoolExecutor(1 if config.threads == 1 else 2) as pool:
-        for _ in range(3):
-            sides = tuple(pool.map(_structure, names, clouds, units, (config,) * 2, rng.spawn(2), relatives))
-            crowding = max(len(side.graph.nodes) for side in sides) / config.supervoxels.max_nodes
-            if crowding <= 1.0:
+        for last in (False, False, True):
+            cuts = tuple(pool.map(cut, clouds, units, (config,) * 2, relatives))
+            crowding = max(map(len, cuts)) / config.supervoxels.max_nodes
+            if crowding <= 1.0 or last:
                 break
             seed_size = min(config.supervoxels.seed_size * 1.1 * np.sqrt(crowding), 1.0)
             config = replaced(config, {'supervoxels.seed_size': float(seed_size)})
-    return sides
+        return tuple(pool.map(_structure, names, cuts, units, (config,) * 2, rng.spawn(2), relatives))
 
 
 def _structure(name: str, *inputs) -> Structure:
     try:
-        return extract(*inputs)
+        return describe(*inputs)
     except DegenerateCloudError as error:
         raise DegenerateCloudError(f'{name}: {error}') from None
 

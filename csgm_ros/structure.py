@@ -54,8 +54,13 @@ def extract(
     relative : float, optional
         Factor on every length, for clouds between which Eq. (1) is far off.
     """
+    return describe(cut(points, normalization, config, relative), normalization, config, rng, relative)
+
+
+def cut(points: np.ndarray, normalization: Similarity, config: Config, relative: float = 1.0) -> Supervoxels:
+    """Cut a cloud into supervoxels: the quick half of :func:`extract`, and its parameters."""
     part = config.supervoxels
-    cut = segment(
+    return segment(
         normalization.apply(points),
         part.voxel_size * relative,
         part.seed_size * relative,
@@ -63,6 +68,12 @@ def extract(
         normal_weight=part.normal_weight,
         refinements=part.refinements,
     )
+
+
+def describe(
+    cut: Supervoxels, normalization: Similarity, config: Config, rng: np.random.Generator, relative: float = 1.0
+) -> Structure:
+    """Describe the supervoxels and make them a graph: the other half of :func:`extract`, and its parameters."""
     # a voxel without a plane around it has no normal: zero agrees with nothing
     normals = np.where(np.isfinite(cut.voxel_normals), cut.voxel_normals, 0.0)
     surface = PreparedCloud(cut.voxel_points, normals, normalization)
