@@ -14,6 +14,7 @@ NEIGHBORS = 10
 FAR = 2.0  # radii
 MIN_SEPARATION = 0.77  # of clutter from the rest, see _split
 THICKNESS_SAMPLES = 2000
+MIN_KEPT = 0.1  # of the points: a few in one place do not make all the others clutter
 VOLUME = 0.5  # thickness from which clutter fills a volume
 
 
@@ -51,13 +52,15 @@ def without_clutter(points: np.ndarray) -> np.ndarray:
     Returns
     -------
     (M, 3) ndarray
-        All points, where there are not two populations or the sparser one lies on surfaces too.
+        All points, where there are not two populations, where the sparser one lies on surfaces too, or where hardly
+        anything would be left.
     """
     means, distances, voxel_of = _spacing(points, FINE_VOXEL)
     sparse, separation = _split(np.log(np.maximum(distances, np.finfo(float).tiny)))
     if separation < MIN_SEPARATION or sparse.sum() < NEIGHBORS or thickness(means[sparse]) < VOLUME:
         return points
-    return points[~sparse[voxel_of]]
+    kept = ~sparse[voxel_of]
+    return points[kept] if kept.mean() >= MIN_KEPT else points
 
 
 def _spacing(points: np.ndarray, voxel: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -78,3 +78,9 @@ def test_a_sparser_surface_is_no_clutter():
     dense, sparse = room(3, 2000), room(4, 60) + np.array([6.0, 0.0, 0.0])
     both = np.vstack([dense, sparse])
     np.testing.assert_array_equal(without_clutter(both), both)
+
+
+def test_a_few_points_in_one_place_do_not_make_the_rest_clutter():
+    rng = np.random.default_rng(5)
+    cloud = np.vstack([rng.uniform(-1.0, 1.0, (6000, 3)), 0.02 * rng.normal(size=(300, 3))])
+    np.testing.assert_array_equal(without_clutter(cloud), cloud)
