@@ -82,5 +82,5 @@ def test_a_sparser_surface_is_no_clutter():
 
 def test_a_few_points_in_one_place_do_not_make_the_rest_clutter():
     rng = np.random.default_rng(5)
-    cloud = np.vstack([rng.uniform(-1.0, 1.0, (6000, 3)), 0.02 * rng.normal(size=(300, 3))])
+    cloud = np.vstack([rng.uniform(-1.0, 1.0, (6000, 3)), 0.05 * rng.normal(size=(600, 3))])
     np.testing.assert_array_equal(without_clutter(cloud), cloud)
