@@ -20,6 +20,7 @@ from csgm_ros.preprocess import finite_points
 from csgm_ros.ransac import ransac
 from csgm_ros.scale import normalizations, radius, search_range
 from csgm_ros.search import search
+from csgm_ros.similarity import displacement
 from csgm_ros.structure import Structure, cut, describe
 from csgm_ros.types import RegistrationResult, Similarity, StructureGraph, Verdict
 from csgm_ros.verdict import Judge
@@ -83,7 +84,19 @@ def register(
         if (result.accepted and certain) or not clock.tick():
             break
     clock.finish()
-    return dataclasses.replace(max(results.values(), key=_rank), timings=clock.timings)
+    result = _unanimous(list(results.values()), config.verification.different / units[1].scale)
+    return dataclasses.replace(result, timings=clock.timings)
+
+
+def _unanimous(results: list[RegistrationResult], different: float) -> RegistrationResult:
+    """Return the best result; rejected, where another look accepted a different transform."""
+    best = max(results, key=_rank)
+    nodes = best.source_graph.nodes
+    for other in results:
+        if other.accepted and displacement(best.transform, other.transform, nodes) > different:
+            reason = 'ambiguous: the clouds as they are and the smoothed ones fit in different places'
+            return dataclasses.replace(best, verdict=dataclasses.replace(best.verdict, accepted=False, reason=reason))
+    return best
 
 
 def _updated(earlier: RegistrationResult | None, result: RegistrationResult) -> RegistrationResult:

@@ -109,9 +109,17 @@ class Judge:
         return fitness.fit(transform, *self._sides, gate, self._max_angle)
 
     def verdict(self, transform: Similarity, fit: Fit) -> Verdict:
-        """Accept or reject a measured transform; every *different* one considered so far is its rival."""
+        """Accept or reject a measured transform.
+
+        Its rivals are all *different* ones considered so far, and those so much better that it cannot be right.
+        """
         part = self._config.verification
-        rivals = [other.closeness for rival, other in self._measured if self._differ(transform, rival)]
+        better = part.min_margin * fit.closeness
+        rivals = [
+            other.closeness
+            for rival, other in self._measured
+            if other.closeness > better or self._differ(transform, rival)
+        ]
         rival = max([part.chance, *rivals])
         min_fitness = part.min_fitness * fitness.attainable(*self._sides, self._max_angle)
         min_margin = part.min_margin if self._seen_first(transform) else part.min_margin_again
@@ -126,7 +134,7 @@ class Judge:
             reason = (
                 f'scale {own:.4g} is not in scale.scale_min..scale_max ({bounds.scale_min:g}..{bounds.scale_max:g})'
             )
-        rmse = fit.rmse / scales[1]
+        rmse = float(fit.rmse / scales[1])
         return Verdict(accepted, reason, fit.fitness_source, fit.fitness_target, rmse, fit.closeness / rival)
 
     def _seen_first(self, transform: Similarity) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scenes import ball, box, cylinder, error, radius, random_rotation, random_similarity, rectangle, room
 
-from csgm_ros import profile, register
+from csgm_ros import pipeline, profile, register
 from csgm_ros.clock import STAGES
 from csgm_ros.config import replaced
 from csgm_ros.errors import Cancelled, DegenerateCloudError, InputError
@@ -89,6 +89,18 @@ def test_rivals_are_sought_at_other_lengths_until_the_margin_is_certain():
     assert_right(doubted, TRUTH, SOURCE)
     assert doubted.verdict.margin <= certain.verdict.margin
     assert error(doubted.transform, certain.transform, SOURCE) < RIGHT
+
+
+def test_looks_that_accept_different_transforms_reject_each_other():
+    one = registered()
+    shifted = dataclasses.replace(one.transform, translation=one.transform.translation + 0.3)
+    rival = dataclasses.replace(one, verdict=dataclasses.replace(one.verdict, margin=1.6), transform=shifted)
+    rejected = dataclasses.replace(rival, verdict=dataclasses.replace(rival.verdict, accepted=False))
+    assert pipeline._unanimous([rejected, one], 0.2) is one
+    assert pipeline._unanimous([rival, one], 1.0) is one
+    torn = pipeline._unanimous([rival, one], 0.2)
+    assert not torn.accepted
+    assert 'different places' in torn.reason
 
 
 def test_the_result_tells_what_it_found():

@@ -117,6 +117,16 @@ def test_hypotheses_for_the_same_place_are_no_rivals(judged):
     assert verdict.margin > 5.0
 
 
+def test_a_near_miss_is_rejected_when_the_truth_was_considered(judged):
+    judge, truth = judged
+    miss = truth @ Similarity(1.05, np.eye(3), np.zeros(3))
+    assert judge.verdict(miss, judge.fit(miss)).accepted  # knowing no better
+    considered(judge, truth)
+    verdict = judge.verdict(miss, judge.fit(miss))
+    assert not verdict.accepted
+    assert verdict.margin < 1.0
+
+
 def test_two_equally_good_places_are_ambiguous():
     rng = np.random.default_rng(0)
     clouds = tuple(box(rng, (-0.5, -1.0, -1.5), (1, 2, 3), 1000) for _ in range(2))
