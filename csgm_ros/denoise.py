@@ -1,4 +1,4 @@
-"""What noise and stray points do to a cloud, and what can be done about it before the five steps."""
+"""What noise, clutter and stray points do to a cloud, and what can be done about it before the five steps."""
 
 from __future__ import annotations
 
