@@ -180,19 +180,24 @@ class Client:
         return self._node.create_client(kind, f'{self.node_name}/{service}')
 
     def _connect(self) -> None:
-        """Ask for the state until it is answered.
+        """Ask for the state until it is answered, and wait for the other services.
 
         A node drops the answer to a client that it has not discovered yet. Discovery keeps the order in which clients
-        were created: once the last one is answered, all are.
+        were created: once the last one is answered, all are. A request to a service that is not discovered yet is
+        lost, too, and the services of the node come in an order of their own.
         """
         client, end = self._clients['get_state'], time.monotonic() + self.timeout
         while time.monotonic() < end:
             future = client.call_async(GetState.Request())
             self._executor.spin_until_future_complete(future, timeout_sec=PROBE)
             if future.done():
+                self._spin_until(self._all_there, self.timeout, f'{self.node_name} lacks services of a csgm node')
                 return
             client.remove_pending_request(future)
         raise NoAnswerError(self._absent())
+
+    def _all_there(self) -> bool:
+        return all(each.service_is_ready() for each in self._clients.values()) and self._parameters.services_are_ready()
 
     def _change(self, transition: int, goal: str, timeout: float | None = None) -> Answer:
         request = ChangeState.Request(transition=Transition(id=transition))
