@@ -15,7 +15,7 @@ FAR = 2.0  # radii
 MIN_SEPARATION = 0.77  # of clutter from the rest, see _split
 THICKNESS_SAMPLES = 2000
 MIN_KEPT = 0.1  # of the points: a few in one place do not make all the others clutter
-VOLUME = 0.5  # thickness from which clutter fills a volume
+VOLUME = 0.7  # thickness from which clutter fills a volume; that of a noisy surface is below
 
 
 def dense_part(points: np.ndarray, factor: float) -> np.ndarray:
