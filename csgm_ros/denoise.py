@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from csgm_ros.types import Similarity
-from csgm_ros.voxels import lattice_origin, occupied, voxel_means
+from csgm_ros.voxels import voxel_means, voxelized
 
 VOXEL = 0.02  # of the radius: evens out the density before neighbours are counted
 FINE_VOXEL = 0.01  # the same where clutter is sought: in coarser voxels it is as dense as a surface
@@ -68,8 +68,7 @@ def _spacing(points: np.ndarray, voxel: float) -> tuple[np.ndarray, np.ndarray, 
     distances = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     # not the largest distance: one stray would make the voxels larger than the cloud
     size = voxel * 1.2 * float(np.quantile(distances, 0.98))
-    means = voxel_means(points, size)
-    _, voxel_of = occupied(points, lattice_origin(points, size), size)
+    means, voxel_of = voxelized(points, size)
     return means, cKDTree(means).query(means, k=min(NEIGHBORS, len(means)))[0][:, -1], voxel_of
 
 

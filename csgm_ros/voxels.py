@@ -70,9 +70,14 @@ def voxelize(points: np.ndarray, size: float, phase: float = PHASE) -> VoxelGrid
 
 def voxel_means(points: np.ndarray, size: float) -> np.ndarray:
     """Return the mean point of every occupied voxel, (v, 3), whatever the order of the (N, 3) points."""
+    return voxelized(points, size)[0]
+
+
+def voxelized(points: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the means of :func:`voxel_means` and the voxel of every point, (N,)."""
     origin = lattice_origin(points, size, PHASE)
     keys, point_voxels = occupied(points, origin, size)
-    return origin + size * _centroids(points, origin, 1 / size, unpacked(keys), point_voxels)
+    return origin + size * _centroids(points, origin, 1 / size, unpacked(keys), point_voxels), point_voxels
 
 
 def lattice_origin(points: np.ndarray, size: float, phase: float = PHASE) -> np.ndarray:
