@@ -137,9 +137,8 @@ def _attempts(clouds: tuple[np.ndarray, np.ndarray], config: Config) -> Iterator
     if config.hypotheses.sources == 'ransac':
         return
     if max(map(thickness, map(_evened, clouds))) > config.preprocess.noise_threshold:
-        fewest = min(map(len, clouds))
-        enough = (count for count in config.preprocess.smoothing if count <= MAX_SMOOTHING * fewest)
-        yield from (Attempt(smoothing=neighbors) for neighbors in enough)
+        most = MAX_SMOOTHING * min(map(len, clouds))
+        yield from (Attempt(smoothing=count) for count in config.preprocess.smoothing if count <= most)
     if config.scale.estimate_scale:
         yield from (Attempt(relative=relative) for relative in config.hypotheses.relative_scales)
 

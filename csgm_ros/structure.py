@@ -34,14 +34,8 @@ class Structure:
     unit: float
 
 
-def extract(
-    points: np.ndarray,
-    normalization: Similarity,
-    config: Config,
-    rng: np.random.Generator,
-    relative: float = 1.0,
-) -> Structure:
-    """Extract the structure of a cloud.
+def cut(points: np.ndarray, normalization: Similarity, config: Config, relative: float = 1.0) -> Supervoxels:
+    """Cut a cloud into supervoxels, the quick half of its structure.
 
     Parameters
     ----------
@@ -49,16 +43,9 @@ def extract(
         Finite points in the cloud's own unit.
     normalization : Similarity
         Own unit to radius 1.
-    rng : numpy.random.Generator
-        Draws the samples of ESF.
     relative : float, optional
         Factor on every length, for clouds between which Eq. (1) is far off.
     """
-    return describe(cut(points, normalization, config, relative), normalization, config, rng, relative)
-
-
-def cut(points: np.ndarray, normalization: Similarity, config: Config, relative: float = 1.0) -> Supervoxels:
-    """Cut a cloud into supervoxels: the quick half of :func:`extract`, and its parameters."""
     part = config.supervoxels
     return segment(
         normalization.apply(points),
@@ -73,7 +60,7 @@ def cut(points: np.ndarray, normalization: Similarity, config: Config, relative:
 def describe(
     cut: Supervoxels, normalization: Similarity, config: Config, rng: np.random.Generator, relative: float = 1.0
 ) -> Structure:
-    """Describe the supervoxels and make them a graph: the other half of :func:`extract`, and its parameters."""
+    """Describe supervoxels and make them a graph; parameters as of :func:`cut`, ``rng`` draws the samples of ESF."""
     # a voxel without a plane around it has no normal: zero agrees with nothing
     normals = np.where(np.isfinite(cut.voxel_normals), cut.voxel_normals, 0.0)
     surface = PreparedCloud(cut.voxel_points, normals, normalization)

@@ -9,7 +9,11 @@ from csgm_ros.clock import Clock
 from csgm_ros.config import profile, replaced
 from csgm_ros.partners import match, of_features, of_nodes
 from csgm_ros.scale import normalizations
-from csgm_ros.structure import extract
+from csgm_ros.structure import cut, describe
+
+
+def extract(cloud, unit, config, rng):
+    return describe(cut(cloud, unit, config), unit, config, rng)
 
 
 @pytest.fixture(scope='module')
