@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 
 from csgm_ros.config import Config
 from csgm_ros.preprocess import prepare
+from csgm_ros.similarity import cosine
 from csgm_ros.types import Similarity
-from csgm_ros.verification import cosine
 
 MIN_NORMAL_ANGLE = 15.0  # degrees that normals may always differ by: surfaces bend within the inlier distance
 SMOOTH_ROUGH = (7.5, 15.0)  # degrees between neighbouring normals: a surface; nothing but noise

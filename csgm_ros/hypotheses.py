@@ -13,6 +13,7 @@ import numba
 import numpy as np
 
 from csgm_ros.config import HypothesesConfig
+from csgm_ros.similarity import cosine
 
 
 class Correspondences(NamedTuple):
@@ -71,7 +72,7 @@ def from_triples(
         fixed,
         config.min_side,
         np.log1p(config.side_tolerance),
-        np.cos(np.radians(config.max_normal_angle)),
+        cosine(config.max_normal_angle),
         out,
     )
     return out[:count]

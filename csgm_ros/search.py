@@ -7,6 +7,7 @@ import numpy as np
 from csgm_ros import nearest, refinement, verification
 from csgm_ros.clock import Clock
 from csgm_ros.config import Config
+from csgm_ros.similarity import cosine
 from csgm_ros.types import PreparedCloud
 
 BATCH = 10  # hypotheses between two looks at the clock
@@ -40,7 +41,7 @@ def search(
     part = config.verification
     if len(hypotheses) == 0:
         return hypotheses
-    min_cosine = verification.cosine(part.max_normal_angle)
+    min_cosine = cosine(part.max_normal_angle)
     grids = [nearest.build(cloud.points, cloud.normals, CELL, REACH) for cloud in (source, target)]
     orders = [rng.permutation(len(cloud.points)) for cloud in (source, target)]
     few = tuple(order[: part.coarse_samples] for order in orders)

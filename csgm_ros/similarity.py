@@ -63,8 +63,12 @@ def umeyama_many(
 def rotation_angle(rotation: np.ndarray) -> float:
     """Return the angle of a (3, 3) rotation in radians, accurate near zero and pi."""
     sine = np.linalg.norm(rotation - rotation.T) / np.sqrt(8.0)
-    cosine = (np.trace(rotation) - 1.0) / 2.0
-    return float(np.arctan2(sine, cosine))
+    return float(np.arctan2(sine, (np.trace(rotation) - 1.0) / 2.0))
+
+
+def cosine(degrees: float) -> float:
+    """Return the cosine of an angle in degrees."""
+    return float(np.cos(np.radians(degrees)))
 
 
 def displacement(first: Similarity, second: Similarity, points: np.ndarray) -> float:

@@ -14,9 +14,8 @@ import numpy as np
 from csgm_ros import fitness, icp, nearest, refinement
 from csgm_ros.config import Config
 from csgm_ros.fitness import Fit, Surface, normal_angle, surface
-from csgm_ros.similarity import displacement
+from csgm_ros.similarity import cosine, displacement
 from csgm_ros.types import Similarity, Verdict
-from csgm_ros.verification import cosine
 
 CELL, REACH = 0.015, 0.045  # of the look-up table for the fine clouds, in radii
 GATES = (0.03, 0.015)  # of the ICP on the fine clouds

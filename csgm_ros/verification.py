@@ -93,11 +93,6 @@ def _inverses(transforms):
     return out
 
 
-def cosine(degrees: float) -> float:
-    """Return the cosine of an angle in degrees."""
-    return float(np.cos(np.radians(degrees)))
-
-
 def best_distinct(
     transforms: np.ndarray, ranking: np.ndarray, probe: np.ndarray, distance: float, count: int
 ) -> np.ndarray:
