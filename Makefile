@@ -33,7 +33,7 @@ $(VENV)/.tf2_msgs: test/build_tf2_msgs.sh $(READY)
 	@test/build_tf2_msgs.sh '$(VENV)' && touch $@
 
 demo: $(READY)
-	@$(PY) -m csgm_ros.tools.cli demo
+	@$(PY) -m csgm_ros.cli.main demo
 
 test: $(READY) $(TF2)
 	@$(PY) -m pytest $(TESTS)

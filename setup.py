@@ -69,7 +69,7 @@ setup(
     },
     entry_points={
         'console_scripts': [
-            f'csgm = {NAME}.tools.cli:main',
+            f'csgm = {NAME}.cli.main:main',
             f'csgm_node = {NAME}.ros.node:main',
         ],
     },

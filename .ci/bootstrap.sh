@@ -111,7 +111,7 @@ fi
 step 4 'csgm_ros itself, as it is in this tree; compiling its kernels'
 "$VENV/bin/python" -m pip install -q --no-deps --no-build-isolation -e .
 "$VENV/bin/csgm" --help > /dev/null
-"$VENV/bin/python" -c 'from csgm_ros.pipeline import warm_up; warm_up()' ||
+"$VENV/bin/python" -c 'from csgm_ros.registration import warm_up; warm_up()' ||
   echo '      the kernels did not compile; the tests will tell more' >&2
 touch "$VENV/.ready"
 echo "      ready: $VENV/bin/csgm, $VENV/bin/csgm_node"

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from csgm_ros.config import Config, NodeConfig, flatten, profile
-from csgm_ros.tools.config_files import config_yaml, scalar
+from csgm_ros.io.config_files import config_yaml, scalar
 
 ROOT = Path(__file__).parents[1]
 

@@ -14,7 +14,7 @@ from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from benchmarks.meshes import Mesh, random_rotation, shared_folder
-from csgm_ros.tools.files import read_cloud
+from csgm_ros.io.files import read_cloud
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,14 @@ from scipy.spatial.distance import cdist
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import pcl, tables
-from csgm_ros.descriptors import context, esf_of_groups, members_of
-from csgm_ros.fpfh import fpfh
-from csgm_ros.supervoxels import segment
+from csgm_ros.structure.descriptors import context, esf_of_groups, members_of
+from csgm_ros.structure.fpfh import fpfh
+from csgm_ros.structure.supervoxels import segment
 
 SAMPLES = 20000
 FIRST = """
 import numpy as np
-from csgm_ros.descriptors import context
+from csgm_ros.structure.descriptors import context
 #
 points = np.random.default_rng(0).uniform(0, 1, (500, 3))
 context(points, points, points[:4], 0.5, np.random.default_rng(0), 100)

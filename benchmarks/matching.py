@@ -18,9 +18,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import plots, tables
-from csgm_ros.blas import single_thread
 from csgm_ros.config import MatchingConfig, profile
-from csgm_ros.matching import match_graphs, score
+from csgm_ros.matching.blas import single_thread
+from csgm_ros.matching.match import match_graphs, score
 
 SIZES = (25, 50, 75, 100, 150, 200, 300, 400)
 VARIANTS = {
@@ -40,7 +40,7 @@ GROUPS = (
 FIRST_CALL = """
 import time, numpy as np
 begin = time.perf_counter(), time.process_time()
-from csgm_ros.matching import match_graphs
+from csgm_ros.matching.match import match_graphs
 imported = time.perf_counter(), time.process_time()
 edges = np.array([[0, 1], [1, 2], [2, 3], [3, 0]])
 match_graphs(np.eye(4), np.ones((4, 4)), edges, edges)

@@ -14,12 +14,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import pcl, tables
 from benchmarks.partitions import adjusted_rand, undersegmentation
-from csgm_ros.supervoxels import segment
+from csgm_ros.structure.supervoxels import segment
 
 SIZES = (10**4, 10**5, 10**6, 10**7)
 FIRST = """
 import numpy as np
-from csgm_ros.supervoxels import segment
+from csgm_ros.structure.supervoxels import segment
 #
 segment(np.random.default_rng(0).uniform(0, 1, (20000, 3)) * [1, 1, 0.01], 0.03, 0.2)
 """

@@ -3,7 +3,7 @@
 from importlib import import_module
 
 _HOMES = {
-    'register': 'csgm_ros.pipeline',
+    'register': 'csgm_ros.registration',
     'Config': 'csgm_ros.config',
     'profile': 'csgm_ros.config',
     'RegistrationResult': 'csgm_ros.types',

@@ -67,6 +67,31 @@ class Similarity:
 
 
 @dataclass(frozen=True, eq=False)
+class Cloud:
+    """A decoded cloud, finite points only.
+
+    Attributes
+    ----------
+    points : (N, 3) float64 ndarray
+        In the unit of the message (metres by REP-103; an SfM cloud has a unit of its own).
+    colors : (N, 3) uint8 ndarray or None
+        Red, green, blue; None where the message carries none.
+    frame_id : str
+        Coordinate frame of the points.
+    stamp : int
+        Nanoseconds.
+    dropped : int
+        Points left out because a coordinate was NaN or infinite (REP-117).
+    """
+
+    points: np.ndarray
+    colors: np.ndarray | None = None
+    frame_id: str = ''
+    stamp: int = 0
+    dropped: int = 0
+
+
+@dataclass(frozen=True, eq=False)
 class PreparedCloud:
     """A cloud as the stages see it: centred, radius 1, one point a voxel.
 

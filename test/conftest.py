@@ -79,7 +79,7 @@ def node(nodes):
 @pytest.fixture
 def client(node):
     """A client of that node; back to unconfigured and to its default parameters afterwards."""
-    from csgm_ros.ros.client import Client
+    from csgm_ros.ros.client.commands import Client
 
     with Client() as connection:
         before = connection.all_parameters()

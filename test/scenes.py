@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from csgm_ros.similarity import displacement
+from csgm_ros.transform.similarity import displacement
 from csgm_ros.types import Similarity
 
 

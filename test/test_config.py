@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from csgm_ros.config import Config, NodeConfig, flatten, parameter_fields, profile, replaced
 from csgm_ros.errors import ConfigError
-from csgm_ros.tools.config_files import assignment, config_yaml, read_config
-from csgm_ros.tools.resources import config_file
+from csgm_ros.io.config_files import assignment, config_yaml, read_config
+from csgm_ros.io.resources import config_file
 
 FILES = {'robust': 'csgm.yaml', 'paper': 'paper.yaml'}
 NUMBERS = {name: spec for name, spec in parameter_fields(Config).items() if type(spec.default) in (int, float)}

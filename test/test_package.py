@@ -90,7 +90,7 @@ def test_the_wheel_holds_everything_that_is_installed(wheel):
     assert not [name for name in names if name.startswith('test')]
     scripts = next(name for name in names if name.endswith('entry_points.txt'))
     text = zipfile.ZipFile(wheel).read(scripts).decode()
-    assert 'csgm = csgm_ros.tools.cli:main' in text
+    assert 'csgm = csgm_ros.cli.main:main' in text
     assert 'csgm_node = csgm_ros.ros.node:main' in text
 
 
@@ -99,7 +99,7 @@ def test_an_installed_package_finds_its_configuration(wheel, tmp_path):
     pip = [sys.executable, '-m', 'pip', 'install', '-q', '--no-deps', '--target', str(target)]
     subprocess.run([*pip, str(wheel)], check=True)
     script = (
-        'import csgm_ros; from csgm_ros.tools.resources import config_file\n'
+        'import csgm_ros; from csgm_ros.io.resources import config_file\n'
         'print(csgm_ros.__file__); print(config_file("csgm.yaml"))'
     )
     environment = {**os.environ, 'PYTHONPATH': str(target)}

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from csgm_ros.cli.main import ROS_COMMANDS
 from csgm_ros.config import Config, NodeConfig, flatten
-from csgm_ros.tools.cli import ROS_COMMANDS
-from csgm_ros.tools.config_files import scalar
+from csgm_ros.io.config_files import scalar
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / 'README.md').read_text()
@@ -45,7 +45,7 @@ def test_topics_are_those_of_the_node():
 
 
 def test_commands_are_those_of_csgm():
-    help_text = subprocess.check_output([sys.executable, '-m', 'csgm_ros.tools.cli', '--help'], text=True)
+    help_text = subprocess.check_output([sys.executable, '-m', 'csgm_ros.cli.main', '--help'], text=True)
     there = set(re.findall(r'^    ([a-z-]+)', help_text, re.MULTILINE))
     told = set(re.findall(r'csgm ([a-z-]+)', TEXT))
     assert told == there

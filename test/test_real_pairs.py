@@ -8,8 +8,8 @@ import pytest
 
 from csgm_ros import profile, register
 from csgm_ros.config import replaced
-from csgm_ros.similarity import rotation_angle
-from csgm_ros.tools.files import read_cloud
+from csgm_ros.io.files import read_cloud
+from csgm_ros.transform.similarity import rotation_angle
 from csgm_ros.types import Similarity
 
 PAIRS = ('crop_chair_000', 'crop_table_195', 'kitchen_000_120')

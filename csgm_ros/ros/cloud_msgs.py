@@ -1,4 +1,4 @@
-"""Numpy to the ROS messages that leave the node; the layout itself is in :mod:`csgm_ros.pointcloud2`."""
+"""Numpy to the ROS messages that leave the node; the layout itself is in :mod:`csgm_ros.io.pointcloud2`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 
-from csgm_ros.pointcloud2 import encode
+from csgm_ros.io.pointcloud2 import encode
 from csgm_ros.types import Similarity
 
 
@@ -22,7 +22,7 @@ def header(frame_id: str, stamp: int) -> Header:
 def cloud_message(
     head: Header, points: np.ndarray, colors: np.ndarray | None = None, source_id: np.ndarray | None = None
 ) -> PointCloud2:
-    """Return a PointCloud2; the arrays are those of :func:`csgm_ros.pointcloud2.encode`."""
+    """Return a PointCloud2; the arrays are those of :func:`csgm_ros.io.pointcloud2.encode`."""
     parts = encode(points, colors, source_id)
     fields = [PointField(name=name, offset=offset, datatype=code, count=1) for name, offset, code in parts['fields']]
     data = array('B')

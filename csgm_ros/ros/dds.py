@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from csgm_ros.errors import InputError
-from csgm_ros.tools.resources import config_file
+from csgm_ros.io.resources import config_file
 
 PROFILE_VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 OTHER_CHOICES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTDDS_BUILTIN_TRANSPORTS')

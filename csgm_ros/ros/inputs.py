@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 
 from csgm_ros.errors import InputError
-from csgm_ros.pointcloud2 import check_layout
+from csgm_ros.io.pointcloud2 import check_layout
 from csgm_ros.ros.lifecycle import guarded
 from csgm_ros.ros.qos import declare_overrides, subscription_qos
 from csgm_ros.ros.watch import problem_of

@@ -15,7 +15,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
-from csgm_ros.pointcloud2 import Cloud
 from csgm_ros.ros.diagnostics import diagnostics
 from csgm_ros.ros.frames import Frames
 from csgm_ros.ros.inputs import CloudInput
@@ -25,6 +24,7 @@ from csgm_ros.ros.parameters import Parameters
 from csgm_ros.ros.registration import Outcome, Registration, Request, describe, explain
 from csgm_ros.ros.tf import StaticTransform
 from csgm_ros.ros.worker import Job
+from csgm_ros.types import Cloud
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 ERROR = TransitionCallbackReturn.ERROR
@@ -225,7 +225,7 @@ class CsgmNode(SafeLifecycleNode):
 @functools.cache
 def warm_up_once() -> None:
     """Import and compile what a registration needs, so that the first one is as fast as the others."""
-    from csgm_ros.pipeline import warm_up
+    from csgm_ros.registration import warm_up
 
     warm_up()
 

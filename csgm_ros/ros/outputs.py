@@ -9,11 +9,10 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64, Float64MultiArray, Header
 from visualization_msgs.msg import MarkerArray
 
-from csgm_ros.pointcloud2 import Cloud
 from csgm_ros.ros.cloud_msgs import cloud_message, header, matrix_message, transform_message
 from csgm_ros.ros.markers import graph_markers
 from csgm_ros.ros.qos import LATCHED
-from csgm_ros.types import RegistrationResult
+from csgm_ros.types import Cloud, RegistrationResult
 
 TOPICS = {
     'transform': TransformStamped,

@@ -13,13 +13,13 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
 import csgm_ros
-from csgm_ros.accumulate import merge
+from csgm_ros.cloud.merge import merge
 from csgm_ros.config import Config
 from csgm_ros.errors import Cancelled, CsgmError, InputError
-from csgm_ros.pointcloud2 import Cloud, decode
+from csgm_ros.io.pointcloud2 import decode
 from csgm_ros.ros.lifecycle import guarded
 from csgm_ros.ros.worker import Job, Worker
-from csgm_ros.types import RegistrationResult
+from csgm_ros.types import Cloud, RegistrationResult
 
 
 @dataclass(frozen=True)

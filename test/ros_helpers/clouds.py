@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from csgm_ros.tools.simulation import simulate
+from csgm_ros.demo.simulation import simulate
 
 
 @cache

@@ -1,0 +1,231 @@
+"""The command line, `csgm`: everything that a person does with files, bags and the node."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from importlib import import_module
+
+from csgm_ros.errors import CsgmError, InputError
+
+ACCEPTED, BAD_INPUT, REJECTED, INTERRUPTED = 0, 2, 3, 130
+EPILOG = """\
+examples:
+  csgm simulate pair/                                      a synthetic Kinect and SfM cloud with known truth
+  csgm register pair/sfm.ply pair/kinect.ply --output fused.ply
+  csgm demo                                                the same through the live ROS 2 node
+
+exit codes: 0 accepted, 3 rejected, 2 bad input or usage, 130 interrupted"""
+
+# Commands that speak ROS and read their own arguments: name -> (module, help).
+ROS_COMMANDS = {
+    'replay': ('csgm_ros.ros.client.player', 'play a rosbag2 bag into the live node'),
+    'call': ('csgm_ros.ros.client.commands', 'call the live node: configure, activate, register, status ...'),
+}
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line."""
+
+    def error(self, message: str):
+        self.exit(BAD_INPUT, f'{self.prog}: {message}; see {self.prog} --help\n')
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run `csgm` and return its exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    try:
+        if arguments and arguments[0] in ROS_COMMANDS:
+            return _ros_command(*arguments[:1], arguments[1:])
+        options = _parser().parse_args(arguments)
+        return options.run(options)
+    except CsgmError as error:
+        print(f'csgm: {error}', file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print('csgm: interrupted', file=sys.stderr)
+        return INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    shape = argparse.RawDescriptionHelpFormatter
+    parser = _Parser(
+        prog='csgm', description='Registers clouds of different sensors.', epilog=EPILOG, formatter_class=shape
+    )
+    commands = parser.add_subparsers(metavar='COMMAND', required=True, parser_class=_Parser)
+    for add in (_add_register, _add_demo, _add_inspect, _add_config, _add_simulate, _add_record_demo):
+        add(commands)
+    for name, (_, text) in ROS_COMMANDS.items():
+        commands.add_parser(name, help=text, add_help=False)
+    return parser
+
+
+def _add_register(commands) -> None:
+    parser = commands.add_parser('register', help='register two files, or two topics of a bag')
+    parser.add_argument('source', nargs='?', help='cloud to move, such as SfM (.ply .pcd .xyz .npy .npz)')
+    parser.add_argument('target', nargs='?', help='cloud that stays, such as Kinect')
+    parser.add_argument('--profile', choices=('robust', 'paper'), help='default: robust')
+    parser.add_argument('--config', metavar='F', help='YAML file of parameters; see `csgm config`')
+    parser.add_argument('--set', metavar='NAME=VALUE', action='append', default=[], help='one parameter; repeatable')
+    parser.add_argument('--seed', type=_seed, default=0, metavar='N', help='default: 0')
+    parser.add_argument('--output', metavar='F', help='write the fused cloud, in the frame of the target')
+    parser.add_argument('--json', metavar='F', help='write the result for programs')
+    parser.add_argument('--bag', metavar='BAG', help='read the clouds from a rosbag2 bag instead')
+    parser.add_argument('--source-topic', metavar='T', default='/source', help='default: /source')
+    parser.add_argument('--target-topic', metavar='T', default='/target', help='default: /target')
+    parser.set_defaults(run=_register)
+
+
+def _add_demo(commands) -> None:
+    parser = commands.add_parser('demo', help='the live node registers a synthetic pair, or two files')
+    parser.add_argument('--source', metavar='F', help='default: a simulated SfM cloud')
+    parser.add_argument('--target', metavar='F', help='default: a simulated Kinect cloud')
+    parser.add_argument('--seed', type=_seed, default=0, metavar='N', help='of the scene and of the registration')
+    parser.add_argument('--output', metavar='DIR', default='demo_output', help='default: demo_output')
+    parser.set_defaults(run=_demo)
+
+
+def _add_inspect(commands) -> None:
+    parser = commands.add_parser('inspect', help='size and density of a cloud, and values that suit it')
+    parser.add_argument('file')
+    parser.set_defaults(run=_inspect)
+
+
+def _add_config(commands) -> None:
+    parser = commands.add_parser('config', help='print every parameter with its description, as YAML')
+    parser.add_argument('--profile', choices=('robust', 'paper'), default='robust')
+    parser.set_defaults(run=_config)
+
+
+def _add_simulate(commands) -> None:
+    parser = commands.add_parser('simulate', help='write a synthetic Kinect and SfM cloud and their truth')
+    parser.add_argument('folder')
+    parser.add_argument('--seed', type=_seed, default=0, metavar='N')
+    parser.set_defaults(run=_simulate)
+
+
+def _add_record_demo(commands) -> None:
+    parser = commands.add_parser('record-demo', help='write the synthetic pair as a rosbag2 bag')
+    parser.add_argument('bag')
+    parser.add_argument('--seed', type=_seed, default=0, metavar='N')
+    parser.set_defaults(run=_record_demo)
+
+
+def _register(options) -> int:
+    from csgm_ros.io import files
+    from csgm_ros.io import results as report
+    from csgm_ros.io.config_files import assignment, read_config
+
+    config = read_config(options.config, options.profile)
+    for text in options.set:
+        config = assignment(config, text)
+    if options.output:
+        files.check_writable(options.output)
+    if options.json:
+        files.check_writable(options.json, ('.json',))
+    source, target = _clouds(options)
+
+    from csgm_ros.registration import register
+
+    try:
+        with report.ProgressBar() as progress:
+            result = register(source.points, target.points, config, seed=options.seed, on_progress=progress)
+    except InputError as error:
+        where = options.bag or f'source {options.source}, target {options.target}'
+        raise InputError(f'{error} ({where})') from None
+    print(report.summary(result))
+    if options.json:
+        report.write_json(options.json, result)
+    if options.output and result.accepted:
+        files.write_cloud(options.output, *report.fused(source, target, result.transform))
+    elif options.output:
+        print(f'csgm: {options.output} is not written, as the result is rejected', file=sys.stderr)
+    return ACCEPTED if result.accepted else REJECTED
+
+
+def _clouds(options):
+    """Return the source and the target that the options name."""
+    from csgm_ros.io import files
+
+    if options.bag:
+        if options.source or options.target:
+            raise InputError('--bag replaces SOURCE and TARGET; give either')
+        from csgm_ros.io import bags
+
+        pair = bags.read_clouds(options.bag, options.source_topic, options.target_topic)
+        return tuple(
+            files.CloudFile(cloud.points, None if cloud.colors is None else cloud.colors / 255) for cloud in pair
+        )
+    if not (options.source and options.target):
+        raise InputError('register needs SOURCE and TARGET, or --bag; see csgm register --help')
+    return files.read_cloud(options.source), files.read_cloud(options.target)
+
+
+def _demo(options) -> int:
+    from csgm_ros.demo import run as demo
+
+    try:
+        return demo.run(options.source, options.target, options.output, options.seed)
+    except demo.DemoError as error:
+        print(f'csgm: {error}', file=sys.stderr)
+        return demo.FAILED
+
+
+def _inspect(options) -> int:
+    from csgm_ros.cli.inspect import inspect
+    from csgm_ros.io.files import read_cloud
+
+    print(inspect(read_cloud(options.file).points))
+    return 0
+
+
+def _config(options) -> int:
+    from csgm_ros.config import profile
+    from csgm_ros.io.config_files import config_yaml
+
+    print(config_yaml(profile(options.profile)), end='')
+    return 0
+
+
+def _simulate(options) -> int:
+    from csgm_ros.demo import simulation
+
+    simulation.write_pair(options.folder, options.seed)
+    print(f'{options.folder}: kinect.ply, sfm.ply and truth.json (T_target_source)')
+    return 0
+
+
+def _record_demo(options) -> int:
+    from csgm_ros.demo import simulation
+    from csgm_ros.io import bags
+
+    made = simulation.simulate(options.seed)
+    bags.write_clouds(options.bag, simulation.recording(made), latched=('/source',))
+    print(f'{options.bag}: /source (SfM, latched) and /target (Kinect); play it with csgm replay {options.bag}')
+    return 0
+
+
+def _ros_command(name: str, arguments: list[str]) -> int:
+    """Hand over to a module that imports ROS."""
+    try:
+        module = import_module(ROS_COMMANDS[name][0])
+    except ModuleNotFoundError as error:
+        if error.name and error.name.startswith('csgm_ros'):
+            raise
+        raise InputError(
+            f'{name} needs {error.name}, which is not here; source a ROS 2 install or use the environment of `make`'
+        ) from None
+    return module.main(arguments) or 0
+
+
+def _seed(text: str) -> int:
+    seed = int(text)
+    if seed < 0:
+        raise ValueError
+    return seed
+
+
+_seed.__name__ = 'non-negative whole number'  # argparse names it so: "invalid ... value: '-1'"
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""What any step needs of a cloud: preparation, voxels, normals, nearest points, outliers, smoothing."""

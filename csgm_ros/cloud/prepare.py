@@ -1,0 +1,69 @@
+"""What happens to a cloud before the five steps: checks, finite filter, voxel grid, normals."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from csgm_ros.cloud.voxels import voxel_means
+from csgm_ros.errors import DegenerateCloudError, InputError
+from csgm_ros.types import PreparedCloud, Similarity
+
+MIN_POINTS = 50
+MAX_COORDINATE = 1e100  # squares, their sums and quotients of two clouds stay far from overflow
+
+
+def finite_points(points: np.ndarray, name: str = 'cloud') -> np.ndarray:
+    """Return the finite rows of an (N, 3) array as float64, or say what is wrong with it.
+
+    Raises
+    ------
+    InputError
+        Not an (N, 3) array of numbers, or numbers too large to calculate with.
+    DegenerateCloudError
+        Fewer than 50 finite points, or all of them on one line.
+    """
+    try:
+        points = np.asarray(points)
+    except ValueError as error:
+        raise InputError(f'{name}: not an array of numbers ({error}); give an (N, 3) array') from None
+    if points.dtype.kind not in 'biuf':
+        raise InputError(f'{name}: not an array of numbers but of {points.dtype}; give an (N, 3) array')
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f'{name}: shape {points.shape}; give an (N, 3) array of x, y, z')
+    points = points[np.isfinite(points).all(1)].astype(float)
+    if len(points) < MIN_POINTS:
+        raise DegenerateCloudError(f'{name}: {len(points)} finite points; at least {MIN_POINTS} are needed')
+    if np.abs(points).max() > MAX_COORDINATE:
+        raise InputError(f'{name}: coordinates beyond {MAX_COORDINATE:g}; choose a larger unit or remove such points')
+    centred = points - points.mean(0)
+    extents = np.linalg.eigvalsh(centred.T @ centred / len(points))
+    if extents[1] <= 1e-10 * extents[2] or extents[2] <= 0.0:
+        raise DegenerateCloudError(f'{name}: all points in one place or on one line; give a cloud of surfaces')
+    return points
+
+
+def normals_of(points: np.ndarray, neighbors: int) -> np.ndarray:
+    """Return unit normals (N, 3) from the nearest ``neighbors`` points; their sign is arbitrary."""
+    import open3d
+
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
+    cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(neighbors))
+    return np.asarray(cloud.normals).copy()
+
+
+def prepare(points: np.ndarray, normalization: Similarity, voxel_size: float, neighbors: int) -> PreparedCloud:
+    """Bring a cloud to radius 1, one point a voxel, with normals.
+
+    Parameters
+    ----------
+    points : (N, 3) ndarray
+        Finite points in the cloud's own unit.
+    normalization : Similarity
+        Own unit to radius 1, see :func:`csgm_ros.scale.normalization`.
+    voxel_size : float
+        Relative to the radius.
+    neighbors : int
+        Points from which a normal is estimated.
+    """
+    means = voxel_means(normalization.apply(points), voxel_size)
+    return PreparedCloud(means, normals_of(means, min(neighbors, len(means))), normalization)

@@ -1,0 +1,1 @@
+"""A synthetic scene, simulated sensors, and the demonstration run of the live node."""

@@ -1,0 +1,1 @@
+"""Files, bags, PointCloud2 layouts, configuration files and results."""

@@ -1,0 +1,137 @@
+"""A result for people and for programs: text, JSON and pictures."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from csgm_ros.config import flatten
+from csgm_ros.errors import InputError
+from csgm_ros.io.files import CloudFile
+from csgm_ros.types import RegistrationResult, Similarity
+
+TARGET_TINT = (0.12, 0.47, 0.71)
+SOURCE_TINT = (0.95, 0.55, 0.15)
+
+
+class ProgressBar:
+    """Shows the running stage on a terminal's stderr; silent anywhere else. A context manager to call."""
+
+    def __init__(self, stream=None):
+        self._stream = stream or sys.stderr
+        self._bar = None
+
+    def __enter__(self) -> ProgressBar:
+        if self._stream.isatty():
+            from tqdm import tqdm
+
+            shape = '{desc:<20} {percentage:3.0f}% |{bar:30}| {elapsed}'
+            self._bar = tqdm(total=1.0, bar_format=shape, ncols=72, file=self._stream, leave=False)
+        return self
+
+    def __exit__(self, *_):
+        if self._bar is not None:
+            self._bar.close()
+
+    def __call__(self, stage: str, fraction: float) -> None:
+        """Note that ``stage`` runs and that ``fraction`` of the whole is done."""
+        if self._bar is not None:
+            self._bar.set_description_str(stage.replace('_', ' '), refresh=False)
+            self._bar.n = fraction
+            self._bar.refresh()
+
+
+def as_mapping(result: RegistrationResult) -> dict[str, Any]:
+    """Return a result as plain values: what ``--json`` writes."""
+    return {
+        'T_target_source': result.T_target_source.tolist(),
+        'scale': float(result.scale),
+        'accepted': bool(result.accepted),
+        'reason': result.reason,
+        'fitness_source': float(result.fitness_source),
+        'fitness_target': float(result.fitness_target),
+        'inlier_rmse': _finite(result.verdict.inlier_rmse),
+        'margin': _finite(result.verdict.margin),
+        'seconds': result.seconds,
+        'timings': result.timings,
+        'seed': result.seed,
+        'config': flatten(result.config),
+    }
+
+
+def write_json(path: str | Path, result: RegistrationResult) -> None:
+    """Write :func:`as_mapping` to a file.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
+    try:
+        Path(path).write_text(json.dumps(as_mapping(result), indent=2, allow_nan=False) + '\n', encoding='utf-8')
+    except OSError as error:
+        raise InputError(f'{path}: cannot be written ({error.strerror}); choose another place') from None
+
+
+def summary(result: RegistrationResult) -> str:
+    """Return a result as the few lines that the command line prints."""
+    fitness = f'{result.fitness_source:.0%} of the source and {result.fitness_target:.0%} of the target overlap'
+    return '\n'.join(
+        [
+            f'{"accepted" if result.accepted else "rejected"}: {result.reason}',
+            f'{fitness}, inliers {result.verdict.inlier_rmse:.4g} apart (RMS); {result.seconds:.1f} s',
+            f'scale {result.scale:.6g}; T_target_source, x_target = s R x_source + t:',
+            matrix_text(result.T_target_source),
+        ]
+    )
+
+
+def matrix_text(matrix: np.ndarray) -> str:
+    """Return a matrix as aligned rows of numbers."""
+    return '\n'.join('  ' + ' '.join(f'{value: 12.6f}' for value in row) for row in matrix)
+
+
+def errors(estimate: Similarity, truth: Similarity, source: np.ndarray) -> dict[str, float]:
+    """Measure an estimate against the known truth.
+
+    Parameters
+    ----------
+    estimate, truth : Similarity
+        From source to target.
+    source : (N, 3) ndarray
+        Points whose displacement counts.
+
+    Returns
+    -------
+    dict
+        `rotation_deg`, `scale_percent`, and `mean_displacement` in target units.
+    """
+    cosine = (np.trace(estimate.rotation.T @ truth.rotation) - 1) / 2
+    return {
+        'rotation_deg': math.degrees(math.acos(min(1.0, max(-1.0, cosine)))),
+        'scale_percent': 100 * abs(estimate.scale / truth.scale - 1),
+        'mean_displacement': float(np.linalg.norm(estimate.apply(source) - truth.apply(source), axis=1).mean()),
+    }
+
+
+def fused(source: CloudFile, target: CloudFile, transform: Similarity) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (N, 3) and colours (N, 3) of the target and the moved source in one cloud.
+
+    Each keeps its own colours where it has them; else the target is blue and the source is orange.
+    """
+    points = np.concatenate([target.points, transform.apply(source.points)])
+    parts = [
+        cloud.colors if cloud.colors is not None else np.tile(tint, (len(cloud.points), 1))
+        for cloud, tint in ((target, TARGET_TINT), (source, SOURCE_TINT))
+    ]
+    return points, np.concatenate(parts)
+
+
+def _finite(value: float) -> float | None:
+    """JSON has no infinity."""
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""Step 2: macro and micro structure (Sec. III-B)."""

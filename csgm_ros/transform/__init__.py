@@ -1,0 +1,1 @@
+"""Step 5: transformation estimation (Sec. III-E)."""

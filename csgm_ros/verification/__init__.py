@@ -1,0 +1,1 @@
+"""Whether the transform of step 5 is right: evidence and verdict."""

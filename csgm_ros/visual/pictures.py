@@ -1,0 +1,119 @@
+"""Pictures of clouds that a person can judge: points drawn with a depth buffer, laid out with matplotlib."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from csgm_ros.io.files import CloudFile
+from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT
+from csgm_ros.types import Similarity
+
+# Rows: what a view shows to the right, downwards and away from the eye, in the target's optical frame.
+FRONT = np.eye(3)
+TOP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
+SIDE = np.array([[0, 0, 1.0], [0, 1.0, 0], [-1.0, 0, 0]])
+PAPER = np.array([1.0, 1.0, 1.0])
+
+
+def before_after(path: str | Path, source: CloudFile, target: CloudFile, transform: Similarity, caption: str) -> None:
+    """Draw both clouds as they came, and the source moved onto the target, from several sides.
+
+    Parameters
+    ----------
+    path : str or Path
+        A .png to write.
+    source, target : CloudFile
+        Rows that are not finite are left out.
+    transform : Similarity
+        From source to target.
+    caption : str
+        One line under the picture.
+    """
+    import matplotlib
+
+    matplotlib.use('Agg')
+    from matplotlib import pyplot
+    from PIL import Image
+
+    source, target = _finite(source), _finite(target)
+    moved = CloudFile(transform.apply(source.points), source.colors)
+    tinted = [_tinted(target, TARGET_TINT), _tinted(moved, SOURCE_TINT)]
+    raw = [_tinted(target, TARGET_TINT), _tinted(source, SOURCE_TINT)]
+    oblique = _turned(FRONT, 28, 22)
+    panels = [
+        ('before: the source, in a unit and pose of its own', [source], FRONT),
+        ('before: the target', [target], oblique),
+        ('before: both as they came, source orange, target blue', raw, oblique),
+        ('after: the source on the target', tinted, oblique),
+        ('after, from above', tinted, TOP),
+        ('after, in their own colours', [target, moved], oblique),
+    ]
+    figure, axes = pyplot.subplots(2, 3, figsize=(15, 9.6), dpi=80, facecolor='white')
+    for axis, (title, clouds, view) in zip(axes.ravel(), panels, strict=True):
+        axis.imshow(draw(clouds, view), interpolation='lanczos')
+        axis.set_title(title, fontsize=12, color='#333333')
+        axis.set_axis_off()
+    figure.text(0.5, 0.015, caption, ha='center', fontsize=12, color='#333333', family='monospace')
+    figure.subplots_adjust(left=0.01, right=0.99, top=0.95, bottom=0.05, wspace=0.02, hspace=0.08)
+    figure.canvas.draw()
+    pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
+    pyplot.close(figure)
+    Image.fromarray(pixels).quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
+
+
+def draw(clouds: list[CloudFile], view: np.ndarray, size: tuple[int, int] = (430, 560)) -> np.ndarray:
+    """Draw clouds from one side, nearer points over farther ones, shaded by depth.
+
+    Parameters
+    ----------
+    clouds : list of CloudFile
+    view : (3, 3) ndarray
+        Rows: the directions right, down and away from the eye.
+    size : (int, int)
+        Height and width in pixels.
+
+    Returns
+    -------
+    (H, W, 3) ndarray
+        In [0, 1].
+    """
+    points = np.concatenate([cloud.points for cloud in clouds]) @ view.T
+    colors = np.concatenate(
+        [_tinted(cloud, TARGET_TINT).colors if cloud.colors is None else cloud.colors for cloud in clouds]
+    )
+    # Quantiles keep a few far outliers from shrinking everything else.
+    low, high = np.quantile(points, (0.004, 0.996), axis=0)
+    height, width = size
+    step = max((high[0] - low[0]) / (width - 20), (high[1] - low[1]) / (height - 20), 1e-12)
+    pixel = np.round((points[:, :2] - (low[:2] + high[:2]) / 2) / step + (width / 2, height / 2)).astype(int)
+    fade = np.clip((points[:, 2] - low[2]) / max(high[2] - low[2], 1e-12), 0, 1)[:, None]
+    colors = colors * (1 - 0.35 * fade) + PAPER * 0.35 * fade
+    order = np.argsort(-points[:, 2], kind='stable')
+    image = np.tile(PAPER, (height, width, 1))
+    for dy, dx in ((1, 1), (1, 0), (0, 1), (0, 0)):
+        u, v = pixel[order, 0] + dx, pixel[order, 1] + dy
+        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        image[v[inside], u[inside]] = colors[order][inside]
+    return image
+
+
+def _finite(cloud: CloudFile) -> CloudFile:
+    keep = np.isfinite(cloud.points).all(axis=1)
+    return CloudFile(cloud.points[keep], None if cloud.colors is None else cloud.colors[keep])
+
+
+def _tinted(cloud: CloudFile, tint: tuple[float, float, float]) -> CloudFile:
+    """Give a cloud one colour, its own brightness kept a little where it has one."""
+    brightness = 0.8 if cloud.colors is None else 0.55 + 0.6 * cloud.colors.mean(axis=1, keepdims=True)
+    return CloudFile(cloud.points, np.clip(np.tile(tint, (len(cloud.points), 1)) * brightness, 0, 1))
+
+
+def _turned(view: np.ndarray, yaw: float, pitch: float) -> np.ndarray:
+    """Return a view from further right (yaw) and from further above (pitch), degrees."""
+    cy, sy = np.cos(np.radians(yaw)), np.sin(np.radians(yaw))
+    cp, sp = np.cos(np.radians(pitch)), np.sin(np.radians(pitch))
+    around = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    over = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
+    return over @ around @ view

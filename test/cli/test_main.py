@@ -1,0 +1,200 @@
+"""The command line as a user types it: results, files, exit codes, and one line on stderr for every mistake."""
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import termios
+
+import numpy as np
+import pytest
+
+from csgm_ros.cli.main import main
+from csgm_ros.config import flatten, profile, replaced
+from csgm_ros.demo.simulation import recording, simulate
+from csgm_ros.io.files import read_cloud, write_cloud
+from csgm_ros.io.results import errors
+from csgm_ros.types import Similarity
+
+KEYS = {
+    *('T_target_source', 'scale', 'accepted', 'reason', 'fitness_source', 'fitness_target', 'inlier_rmse', 'margin'),
+    *('seconds', 'timings', 'seed', 'config'),
+}
+COMMAND = [sys.executable, '-m', 'csgm_ros.cli.main']
+
+
+@pytest.fixture(scope='module')
+def pair(tmp_path_factory):
+    """Files of a simulated pair, and the pair itself."""
+    folder, made = tmp_path_factory.mktemp('pair'), simulate(0)
+    write_cloud(folder / 'sfm.ply', made.source, made.source_colors)
+    write_cloud(folder / 'kinect.npz', made.target.reshape(-1, 3).astype(float))
+    return folder / 'sfm.ply', folder / 'kinect.npz', made
+
+
+@pytest.fixture(scope='module')
+def registered(pair, tmp_path_factory):
+    """One run of the real command with everything it writes."""
+    folder = tmp_path_factory.mktemp('out')
+    files = ['--output', str(folder / 'fused.ply'), '--json', str(folder / 'result.json')]
+    run = subprocess.run(
+        [*COMMAND, 'register', str(pair[0]), str(pair[1]), '--seed', '4', *files], capture_output=True, text=True
+    )
+    return run, folder
+
+
+def one_line(capsys):
+    captured = capsys.readouterr()
+    assert captured.err.count('\n') == 1
+    return captured.err
+
+
+def test_register_accepts_the_pair_near_its_truth(pair, registered):
+    run, folder = registered
+    assert run.returncode == 0, run.stderr
+    assert run.stderr == ''
+    assert run.stdout.startswith('accepted: ')
+    result = json.loads((folder / 'result.json').read_text())
+    found = errors(Similarity.from_matrix(np.array(result['T_target_source'])), pair[2].truth, pair[2].source)
+    assert found['rotation_deg'] < 2
+    assert found['scale_percent'] < 2
+    assert found['mean_displacement'] < 0.05
+
+
+def test_the_json_holds_the_promised_keys(registered):
+    result = json.loads((registered[1] / 'result.json').read_text())
+    assert set(result) == KEYS
+    assert result['accepted'] is True
+    assert result['seed'] == 4
+    assert np.linalg.det(np.array(result['T_target_source'])[:3, :3]) == pytest.approx(result['scale'] ** 3)
+    assert replaced(profile(), result['config']) == profile()
+    assert sum(result['timings'].values()) == pytest.approx(result['seconds'])
+
+
+def test_the_fused_file_holds_the_target_and_the_moved_source(pair, registered):
+    matrix = np.array(json.loads((registered[1] / 'result.json').read_text())['T_target_source'])
+    source, target = (read_cloud(path).points for path in pair[:2])
+    fused = read_cloud(registered[1] / 'fused.ply')
+    assert len(fused.points) == len(source) + len(target)
+    assert np.allclose(fused.points[-len(source) :], source @ matrix[:3, :3].T + matrix[:3, 3], atol=1e-4)
+    assert len(np.unique(fused.colors[: len(target)], axis=0)) == 1  # the target file has no colours: one tint
+
+
+def test_a_rejected_result_exits_with_3_and_writes_no_cloud(pair, tmp_path, capsys):
+    impossible = ['--set', 'verification.min_fitness=1.0']
+    files = ['--output', str(tmp_path / 'f.ply'), '--json', str(tmp_path / 'r.json')]
+    assert main(['register', *map(str, pair[:2]), *impossible, *files]) == 3
+    captured = capsys.readouterr()
+    assert captured.out.startswith('rejected: ')
+    assert 'is not written' in captured.err
+    assert not (tmp_path / 'f.ply').exists()
+    result = json.loads((tmp_path / 'r.json').read_text())
+    assert result['accepted'] is False
+    assert result['config']['verification.min_fitness'] == 1.0
+
+
+def test_a_bag_gives_what_its_files_give(pair, tmp_path, capsys):
+    from csgm_ros.io.bags import write_clouds
+
+    write_clouds(tmp_path / 'bag', recording(pair[2], frames=2), latched=('/source',))
+    assert main(['register', '--bag', str(tmp_path / 'bag'), '--json', str(tmp_path / 'r.json')]) == 0
+    matrix = np.array(json.loads((tmp_path / 'r.json').read_text())['T_target_source'])
+    found = errors(Similarity.from_matrix(matrix), pair[2].truth, pair[2].source)
+    assert found['mean_displacement'] < 0.05
+    capsys.readouterr()
+    assert main(['register', '--bag', str(tmp_path / 'bag'), '--source-topic', '/sfm']) == 2
+    assert '/target' in one_line(capsys)
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'names'),
+    [
+        (['register', 'none.ply', 'none.ply'], 'none.ply'),
+        (['register'], 'SOURCE and TARGET'),
+        (['register', 'a.ply'], 'SOURCE and TARGET'),
+        (['register', 'a.ply', 'b.ply', '--bag', 'c'], '--bag replaces'),
+        (['register', '--bag', 'none'], 'none'),
+        (['register', 'a.ply', 'b.ply', '--set', 'x'], 'name=value'),
+        (['register', 'a.ply', 'b.ply', '--set', 'icp.iterations=0'], 'icp.iterations'),
+        (['register', 'a.ply', 'b.ply', '--config', 'none.yaml'], 'none.yaml'),
+        (['register', 'a.ply', 'b.ply', '--output', 'f.stl'], 'f.stl'),
+        (['register', 'a.ply', 'b.ply', '--output', 'nowhere/f.ply'], 'nowhere'),
+        (['register', 'a.ply', 'b.ply', '--json', 'r.txt'], 'r.txt'),
+        (['inspect', 'none.pcd'], 'none.pcd'),
+        (['demo', '--source', 'a.ply'], '--target'),
+    ],
+)
+def test_mistakes_exit_with_2_and_one_line_that_names_them(arguments, names, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    assert names in one_line(capsys)
+
+
+@pytest.mark.parametrize(
+    'arguments', [[], ['nothing'], ['register', 'a', 'b', '--seed', '-1'], ['config', '--profile', 'x']]
+)
+def test_usage_errors_exit_with_2_and_one_line(arguments, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 2
+    assert '--help' in one_line(capsys)
+
+
+def test_a_degenerate_cloud_is_refused_by_its_role(pair, tmp_path, capsys):
+    np.save(tmp_path / 'flat.npy', np.zeros((100, 3)))
+    assert main(['register', str(tmp_path / 'flat.npy'), str(pair[1])]) == 2
+    said = one_line(capsys)
+    assert 'source' in said
+    assert 'flat.npy' in said
+
+
+def test_config_prints_the_yaml_and_the_file_is_read_back(pair, tmp_path, capsys):
+    assert main(['config', '--profile', 'paper']) == 0
+    text = capsys.readouterr().out
+    (tmp_path / 'c.yaml').write_text(text)
+    for name in flatten(profile('paper')):
+        assert name.rsplit('.', maxsplit=1)[-1] + ':' in text
+
+
+def test_simulate_and_inspect(tmp_path, capsys):
+    assert main(['simulate', str(tmp_path / 'pair')]) == 0
+    assert main(['inspect', str(tmp_path / 'pair' / 'sfm.ply')]) == 0
+    assert 'radius' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('name', ['register', 'demo', 'inspect', 'config', 'simulate', 'record-demo', 'replay', 'call'])
+def test_every_command_has_help(name):
+    pytest.importorskip('rclpy')
+    said = subprocess.run([*COMMAND, name, '--help'], capture_output=True, text=True)
+    assert said.returncode == 0
+    assert 'usage: csgm' in said.stdout
+
+
+def test_help_loads_nothing_heavy():
+    script = (
+        'import sys; from csgm_ros.cli.main import main\ntry: main(["--help"])\nexcept SystemExit: pass\n'
+        'print([m for m in ("numpy", "scipy", "numba", "open3d", "rclpy") if m in sys.modules])'
+    )
+    assert subprocess.check_output([sys.executable, '-c', script], text=True).strip().endswith('[]')
+
+
+def test_progress_shows_on_a_terminal_and_ctrl_c_exits_with_130(pair):
+    main_end, terminal = pty.openpty()
+    termios.tcsetwinsize(terminal, (24, 80))
+    run = subprocess.Popen([*COMMAND, 'register', *map(str, pair[:2])], stdout=subprocess.DEVNULL, stderr=terminal)
+    os.close(terminal)
+    seen = b''
+    while b'%' not in seen:  # the bar is there: the registration runs
+        seen += os.read(main_end, 1000)
+    run.send_signal(signal.SIGINT)
+    try:
+        while part := os.read(main_end, 1000):
+            seen += part
+    except OSError:  # the terminal's other end is closed
+        pass
+    os.close(main_end)
+    assert run.wait() == 130
+    assert b'Traceback' not in seen
+    assert b'interrupted' in seen

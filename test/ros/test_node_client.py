@@ -1,0 +1,60 @@
+"""`csgm call`, for machines without the ros2 command."""
+
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from ros_helpers.scene import send_pair, wait_heard
+
+from csgm_ros.ros.client import commands as calls
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+
+def csgm(*arguments):
+    """Run the command line; return (exit code, stdout, stderr)."""
+    done = subprocess.run(
+        [sys.executable, '-m', 'csgm_ros.cli.main', *arguments], capture_output=True, text=True, timeout=120
+    )
+    return done.returncode, done.stdout.strip(), done.stderr.strip()
+
+
+def test_a_whole_session(node, client, ros):
+    assert csgm('call', 'configure') == (0, 'configured', '')
+    assert csgm('call', 'activate') == (0, 'active', '')
+    code, said, _ = csgm('call', 'configure')
+    assert code == 1
+    assert 'the node is active' in said
+    kept = send_pair(ros)
+    wait_heard(client)
+    code, said, _ = csgm('call', 'register')
+    assert code == 0
+    assert said.startswith('accepted: scale ')
+    code, told, _ = csgm('call', 'status')
+    assert code == 0
+    assert told.splitlines()[:2] == ['state: active', said]
+    assert 'topic: /source' in told
+    assert csgm('call', 'cancel') == (1, 'no registration is running', '')
+    assert csgm('call', 'deactivate') == (0, 'inactive', '')
+    assert csgm('call', 'cleanup') == (0, 'unconfigured', '')
+    assert kept
+
+
+def test_absent_node_is_named_with_those_there_are(node):
+    code, _, complaint = csgm('call', 'status', '--node', '/elsewhere/csgm', '--timeout', '3')
+    assert code == 2
+    assert 'no node /elsewhere/csgm' in complaint
+    assert '/csgm' in complaint
+    assert len(complaint.splitlines()) == 1
+
+
+def test_functions_do_the_same(node, client):
+    assert calls.configure() == calls.Answer(True, 'configured')
+    assert calls.activate().success
+    assert not calls.register().success
+    assert calls.status().state == 'active'
+    assert calls.deactivate().success
+    assert calls.cleanup().success

@@ -1,0 +1,395 @@
+"""The whole registration: known truth, invariances, honesty about what cannot be registered, wrong input."""
+
+import dataclasses
+import functools
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import ball, box, cylinder, error, radius, random_rotation, random_similarity, rectangle, room
+
+from csgm_ros import profile, register, registration
+from csgm_ros.config import replaced
+from csgm_ros.errors import Cancelled, DegenerateCloudError, InputError
+from csgm_ros.progress import STAGES
+from csgm_ros.types import Similarity
+
+ROOT = Path(__file__).parents[1]
+SOURCE, TARGET = room(1, 400), room(2, 400)
+TRUTH = random_similarity(np.random.default_rng(11), (0.3, 0.4), 10.0)
+RIGHT, SAME = 0.01, 0.01  # of the radius: RMS displacement from the truth, and between runs that should agree
+RIGID = replaced(profile(), {'scale.estimate_scale': False})
+# larger supervoxels and one more attempt only: clouds that nothing fits cost all attempts
+QUICK = replaced(
+    profile(),
+    {'supervoxels.seed_size': 0.35, 'hypotheses.relative_scales': (0.6,), 'preprocess.smoothing': (40,)},
+)
+
+
+@functools.cache
+def registered(source=1, target=2, config=None):
+    """The room registered with another sampling of it under TRUTH."""
+    return register(room(source, 400), TRUTH.apply(room(target, 400)), config)
+
+
+def assert_right(result, truth, source, bound=RIGHT):
+    assert result.accepted, result.reason
+    assert error(result.transform, truth, source) < bound
+
+
+def moved(result, transform):
+    return dataclasses.replace(result, transform=transform)
+
+
+def assert_agree(first, second, bound=SAME):
+    """Two results for the same clouds: same verdict, same transform."""
+    assert first.accepted == second.accepted
+    assert error(first.transform, second.transform, SOURCE) < bound
+
+
+# ---- known truth
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_recovers_a_similarity_about_any_axis_far_away_and_at_any_scale(seed):
+    truth = random_similarity(np.random.default_rng([seed, 1]), ((0.05, 0.1), (10, 20), (0.3, 3), (1, 1.001))[seed])
+    assert_right(register(SOURCE, truth.apply(TARGET)), truth, SOURCE)
+
+
+def test_recovers_a_part_of_the_scene_in_the_whole():
+    part = TARGET[TARGET[:, 0] < 2.0]
+    assert_right(register(part, TRUTH.apply(SOURCE)), TRUTH, part)
+
+
+def test_clutter_around_the_source_does_not_mislead():
+    rng = np.random.default_rng(6)
+    clutter = rng.uniform(SOURCE.min(0), SOURCE.max(0), (len(SOURCE), 3))
+    assert_right(register(np.concatenate([SOURCE, clutter]), TRUTH.apply(TARGET)), TRUTH, SOURCE)
+
+
+def test_a_source_with_one_of_twenty_points_is_accepted():
+    thin = np.random.default_rng(7).permutation(SOURCE)[: len(SOURCE) // 20]
+    assert_right(register(thin, TRUTH.apply(TARGET)), TRUTH, SOURCE, 0.03)
+
+
+def looks(config):
+    """How often the structure was extracted for a registration, and its result."""
+    heard = []
+    result = register(SOURCE, TRUTH.apply(TARGET), config, on_progress=lambda *call: heard.append(call))
+    return len({fraction for stage, fraction in heard if stage == 'structure extraction'}), result
+
+
+def test_rivals_are_sought_at_other_lengths_until_the_margin_is_certain():
+    once, certain = looks(profile())
+    thrice, doubted = looks(replaced(profile(), {'verification.certain_margin': 100.0}))
+    assert (once, thrice) == (1, 3)
+    assert_right(doubted, TRUTH, SOURCE)
+    assert doubted.verdict.margin <= certain.verdict.margin
+    assert error(doubted.transform, certain.transform, SOURCE) < RIGHT
+
+
+def test_looks_that_accept_different_transforms_reject_each_other():
+    one = registered()
+    shifted = dataclasses.replace(one.transform, translation=one.transform.translation + 0.3)
+    rival = dataclasses.replace(one, verdict=dataclasses.replace(one.verdict, margin=1.6), transform=shifted)
+    rejected = dataclasses.replace(rival, verdict=dataclasses.replace(rival.verdict, accepted=False))
+    assert registration._unanimous([rejected, one], 0.2) is one
+    assert registration._unanimous([rival, one], 1.0) is one
+    torn = registration._unanimous([rival, one], 0.2)
+    assert not torn.accepted
+    assert 'different places' in torn.reason
+
+
+def test_the_result_tells_what_it_found():
+    result = registered()
+    assert_right(result, TRUTH, SOURCE)
+    assert result.scale == pytest.approx(TRUTH.scale, rel=0.01)
+    np.testing.assert_array_equal(result.T_target_source, result.transform.matrix)
+    assert 0.5 < min(result.fitness_source, result.fitness_target) <= 1.0
+    assert result.verdict.margin > profile().verification.min_margin
+    assert 0.0 < result.verdict.inlier_rmse < 0.03 * radius(TRUTH.apply(SOURCE))
+    assert result.seed == 0
+    assert result.config == profile()
+    assert set(result.timings) == set(STAGES)
+    assert result.seconds > 0.0
+
+
+def test_graphs_and_matches_are_in_the_clouds_own_units():
+    result = registered()
+    for graph, cloud in ((result.source_graph, SOURCE), (result.target_graph, TRUTH.apply(TARGET))):
+        assert np.linalg.norm(graph.nodes - cloud.mean(0), axis=1).max() < radius(cloud) * 1.01
+        assert graph.edges.max() < len(graph.nodes)
+    i, a = result.matches[result.match_inliers].T
+    offsets = TRUTH.apply(result.source_graph.nodes[i]) - result.target_graph.nodes[a]
+    assert len(i) >= 3
+    assert np.linalg.norm(offsets, axis=1).max() < 0.15 * radius(TRUTH.apply(SOURCE))
+
+
+def test_the_papers_profile_is_right_or_rejected():
+    result = registered(config=profile('paper'))
+    assert not result.accepted or error(result.transform, TRUTH, SOURCE) < 0.05
+    assert result.config.profile == 'paper'
+
+
+# ---- invariances
+
+
+@pytest.mark.parametrize('side', ['source', 'target'])
+def test_pose_and_unit_of_either_cloud_do_not_matter(side):
+    pose = random_similarity(np.random.default_rng(5), (0.05, 20.0), 100.0)
+    clouds = {'source': SOURCE, 'target': TRUTH.apply(TARGET)}
+    clouds[side] = pose.apply(clouds[side])
+    result = register(**clouds)
+    back = result.transform @ pose if side == 'source' else pose.inverse() @ result.transform
+    assert result.accepted == registered().accepted
+    assert error(back, registered().transform, SOURCE) < SAME
+
+
+def test_the_order_of_the_points_does_not_matter():
+    rng = np.random.default_rng(0)
+    assert_agree(register(rng.permutation(SOURCE), rng.permutation(TRUTH.apply(TARGET))), registered())
+
+
+def test_both_clouds_in_another_unit_give_the_same():
+    result = register(1000.0 * SOURCE, 1000.0 * TRUTH.apply(TARGET))
+    found = result.transform
+    assert_agree(registered(), moved(result, Similarity(found.scale, found.rotation, found.translation / 1000.0)))
+
+
+def test_exchanged_clouds_give_the_inverse():
+    result = register(TRUTH.apply(TARGET), SOURCE)
+    assert_agree(moved(result, result.transform.inverse()), registered())
+
+
+def test_rows_that_are_not_finite_are_ignored():
+    rng = np.random.default_rng(0)
+    bad = np.full((600, 3), np.nan)
+    bad[:300] = np.inf
+    bad[300:, 0] = 1.0
+    mixed = np.insert(SOURCE, np.sort(rng.integers(0, len(SOURCE), 600)), bad, axis=0)
+    result = register(mixed, TRUTH.apply(TARGET))
+    assert result.T_target_source.tobytes() == registered().T_target_source.tobytes()
+
+
+def test_duplicates_and_the_type_of_the_numbers_do_not_matter():
+    assert_agree(register(np.repeat(SOURCE, 3, axis=0), TRUTH.apply(TARGET).astype(np.float32)), registered())
+
+
+def test_the_input_is_left_alone():
+    source, target = SOURCE.copy(), TRUTH.apply(TARGET)
+    before = target.copy()
+    source.setflags(write=False)
+    target.setflags(write=False)
+    register(source, target)
+    np.testing.assert_array_equal(target, before)
+
+
+# ---- determinism
+
+
+@pytest.mark.parametrize('threads', [1, 2, 5])
+def test_the_number_of_threads_does_not_change_a_bit(threads):
+    result = register(SOURCE, TRUTH.apply(TARGET), replaced(profile(), {'threads': threads}))
+    assert result.T_target_source.tobytes() == registered().T_target_source.tobytes()
+    assert result.verdict == registered().verdict
+    np.testing.assert_array_equal(result.matches, registered().matches)
+
+
+def test_another_process_with_one_core_gives_the_same_bits():
+    code = (
+        'from test_registration import registered\n'
+        'import sys; sys.stdout.write(registered().T_target_source.tobytes().hex())'
+    )
+    paths = os.pathsep.join([str(ROOT), str(ROOT / 'test')])
+    one = {'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1', 'NUMBA_NUM_THREADS': '1'}
+    run = subprocess.run(
+        [sys.executable, '-c', code],
+        env={**os.environ, **one, 'PYTHONPATH': paths},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert run.stdout == registered().T_target_source.tobytes().hex()
+
+
+def test_another_seed_is_right_too():
+    result = register(SOURCE, TRUTH.apply(TARGET), seed=7)
+    assert_right(result, TRUTH, SOURCE)
+    assert result.seed == 7
+
+
+# ---- rigid mode and bounds of the scale
+
+
+def test_rigid_mode_gives_scale_exactly_one():
+    truth = Similarity(1.0, random_rotation(np.random.default_rng(2)), np.array([50.0, -3.0, 7.0]))
+    result = register(SOURCE, truth.apply(TARGET), RIGID)
+    assert_right(result, truth, SOURCE)
+    assert result.scale == 1.0
+
+
+def test_rigid_mode_rejects_what_differs_by_a_scale():
+    assert not register(SOURCE, TRUTH.apply(TARGET), RIGID).accepted
+
+
+@pytest.mark.parametrize(('low', 'high', 'inside'), [(0.9, 1.05, True), (1.08, 3.0, False), (0.3, 0.95, False)])
+def test_an_accepted_scale_lies_in_its_bounds(low, high, inside):
+    result = register(SOURCE, TARGET, replaced(QUICK, {'scale.scale_min': low, 'scale.scale_max': high}))
+    assert result.accepted == inside, result.reason
+    assert not result.accepted or low <= result.scale <= high
+
+
+# ---- progress, cancellation, time
+
+
+def test_progress_goes_through_the_stages_to_the_end():
+    heard = []
+    register(SOURCE, TARGET, on_progress=lambda *call: heard.append(call))
+    stages = list(dict.fromkeys(stage for stage, _ in heard))
+    fractions = [fraction for _, fraction in heard]
+    assert stages == [*STAGES, 'done']
+    assert fractions == sorted(fractions)
+    assert fractions[0] == 0.0
+    assert heard[-1] == ('done', 1.0)
+    assert 1.0 not in fractions[:-1]
+
+
+@pytest.mark.parametrize('stage', STAGES)
+def test_whatever_progress_raises_ends_the_registration_at_once(stage):
+    heard = []
+
+    def on_progress(running, fraction):
+        heard.append(running)
+        if running == stage:
+            raise Cancelled(f'in {running}')
+
+    with pytest.raises(Cancelled, match=stage):
+        register(SOURCE, TARGET, on_progress=on_progress)
+    assert heard.count(stage) == 1
+    assert heard[-1] == stage
+
+
+def test_a_spent_time_budget_still_gives_a_judged_answer():
+    result = register(SOURCE, TRUTH.apply(TARGET), replaced(profile(), {'time_budget': 1e-6}))
+    assert result.reason
+    assert result.fitness_source > 0.0
+    assert not result.accepted or error(result.transform, TRUTH, SOURCE) < RIGHT
+
+
+# ---- what cannot be registered
+
+
+def shape(name, seed):
+    rng = np.random.default_rng(seed)
+    return {
+        'plane': lambda: rectangle(rng, (0, 0, 0), (2, 0, 0), (0, 1.3, 0), 4000),
+        'sphere': lambda: ball(rng, (0, 0, 0), 1.0, 500),
+        'cuboid': lambda: box(rng, (0, 0, 0), (1, 2, 3), 300),
+        'cylinder': lambda: cylinder(rng, (0, 0, 0), 0.5, 2.0, 800),
+        'fog': lambda: rng.normal(size=(4000, 3)),
+    }[name]()
+
+
+@pytest.mark.parametrize('name', ['plane', 'sphere', 'cuboid', 'cylinder', 'fog'])
+def test_shapes_that_fit_in_many_ways_or_in_none_are_rejected(name):
+    pose = random_similarity(np.random.default_rng(4), (0.5, 2.0), 5.0)
+    result = register(shape(name, 0), pose.apply(shape(name, 1)), QUICK)
+    assert not result.accepted
+    assert any(cause in result.reason for cause in ('ambiguous', 'overlap', 'no hypothesis'))
+
+
+@pytest.mark.parametrize('name', ['plane', 'sphere', 'cuboid', 'cylinder'])
+def test_a_symmetric_cloud_and_its_exact_copy_are_rejected_or_exactly_right(name):
+    cloud = shape(name, 0)
+    result = register(cloud, cloud, QUICK)
+    assert not result.accepted or error(result.transform, Similarity.identity(), cloud) < 1e-6
+
+
+@pytest.mark.parametrize('name', ['sphere', 'cuboid'])
+def test_a_room_is_not_mistaken_for_a_shape(name):
+    assert not register(SOURCE, shape(name, 0), QUICK).accepted
+
+
+def test_unrelated_shapes_are_rejected():
+    assert not register(shape('cuboid', 0), shape('cylinder', 1), QUICK).accepted
+
+
+def test_clouds_of_one_scene_without_overlap_are_rejected():
+    left, right = SOURCE[SOURCE[:, 0] < 1.0], TARGET[TARGET[:, 0] > 1.4]
+    assert not register(left, right).accepted
+
+
+def test_a_cuboid_in_no_time_is_not_accepted_either():
+    hurried = replaced(QUICK, {'time_budget': 1e-6})
+    assert not register(shape('cuboid', 0), shape('cuboid', 1), hurried).accepted
+
+
+# ---- wrong and extreme input
+
+WRONG = {
+    'empty': np.empty((0, 3)),
+    'three points': SOURCE[:3],
+    'only NaN': np.full((100, 3), np.nan),
+    'one place': np.ones((100, 3)),
+    'a line': np.outer(np.linspace(0, 1, 1000), (1.0, 2.0, 3.0)),
+    'two columns': SOURCE[:, :2],
+    'text': SOURCE.astype(str),
+    'nothing': None,
+    'too large': SOURCE * 1e200,
+    'too sparse': SOURCE[:60],
+    'stray far away': np.concatenate([SOURCE[:60], [[1e3, 0.0, 0.0]]]),
+}
+
+
+@pytest.mark.parametrize('side', ['source', 'target'])
+@pytest.mark.parametrize('case', WRONG)
+def test_wrong_input_is_an_error_that_names_the_cloud(case, side):
+    clouds = {'source': SOURCE, 'target': TARGET, side: WRONG[case]}
+    with pytest.raises(InputError, match=f'^{side}: '):
+        register(**clouds)
+
+
+@pytest.mark.parametrize('count', [60, 150, 200, 300, 500])
+def test_few_points_are_right_or_rejected_or_refused(count):
+    for seed in (1, 3):
+        source, target = room(seed, 400)[:count], room(seed + 1, 400)[:count]
+        try:
+            result = register(source, target, QUICK)
+        except DegenerateCloudError:
+            continue
+        assert not result.accepted or error(result.transform, Similarity.identity(), source) < 0.05
+
+
+@pytest.mark.parametrize('offset', [1e6, 1e9])
+def test_coordinates_far_from_the_origin_are_no_trouble(offset):
+    away = Similarity(1.0, np.eye(3), np.full(3, offset))
+    truth = away.inverse() @ TRUTH @ away.inverse()
+    assert_right(register(away.apply(SOURCE), away.inverse().apply(TRUTH.apply(TARGET))), truth, away.apply(SOURCE))
+
+
+@pytest.mark.parametrize(('source', 'target'), [(1e-6, 1e-6), (1e6, 1e6), (1.0, 3e-6), (1e5, 1.0), (1e30, 1e30)])
+def test_extreme_units_are_no_trouble(source, target):
+    truth = Similarity(target / source, np.eye(3), np.zeros(3))
+    assert_right(register(source * SOURCE, target * TARGET), truth, source * SOURCE)
+
+
+def test_a_scale_beyond_the_bounds_is_rejected():
+    assert not register(SOURCE, 1e-9 * TARGET, QUICK).accepted
+
+
+@pytest.mark.parametrize('stray', [10.0, 1e3, 1e9])
+def test_one_stray_point_is_survived_or_rejected_or_refused(stray):
+    source = np.concatenate([SOURCE, np.full((1, 3), stray)])
+    try:
+        result = register(source, TARGET, QUICK)
+    except DegenerateCloudError:
+        return
+    assert not result.accepted or error(result.transform, Similarity.identity(), SOURCE) < RIGHT
+
+
+def test_a_few_strays_nearby_do_not_matter():
+    strays = np.random.default_rng(0).normal(scale=4.0, size=(30, 3))
+    assert_right(register(np.concatenate([SOURCE, strays]), TARGET), Similarity.identity(), SOURCE)
