@@ -41,7 +41,8 @@ def _maker(name: str, seed: int, separation: float):
 def variants(changes: dict[str, object]) -> dict[str, Config]:
     """Return every configuration by name, each with ``changes`` on top."""
     robust, paper = profile('robust'), profile('paper')
-    result = {f'robust, {source}': replaced(robust, {SOURCE: source}) for source in ('both', 'graph', 'local')}
+    choices = {'both': ('graph', 'local'), 'graph': ('graph',), 'local': ('local',)}
+    result = {f'robust, {name}': replaced(robust, {SOURCE: chosen}) for name, chosen in choices.items()}
     graph = result['robust, graph']
     ours, theirs = flatten(graph), flatten(paper)
     for name in deviations():

@@ -20,8 +20,8 @@ FOLDER = Path(__file__).resolve().parent
 RESULTS = FOLDER / 'results'
 OURS: dict[str, dict[str, object]] = {
     'csgm': {},
-    'csgm-graph': {'hypotheses.sources': 'graph'},
-    'csgm-local': {'hypotheses.sources': 'local'},
+    'csgm-graph': {'hypotheses.sources': ('graph',)},
+    'csgm-local': {'hypotheses.sources': ('local',)},
     'csgm-scale': {},
 }
 """Names of the product's own variants, as changes of the ``robust`` profile; ``csgm-paper`` is the ``paper`` one.

@@ -7,30 +7,43 @@ otherwise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any
 
+from csgm_ros import schema
 from csgm_ros.errors import ConfigError
-from csgm_ros.schema import Checked, flatten, param, parameter_fields, replaced
+from csgm_ros.schema import Checked, flatten, param, parameter_fields, part_types
 
-__all__ = ['Config', 'NodeConfig', 'flatten', 'parameter_fields', 'profile', 'replaced']
+__all__ = ['Config', 'NodeConfig', 'configured', 'flatten', 'parameter_fields', 'profile', 'replaced']
 
 RADIUS = 'radius of the cloud'
+PROFILES = ('robust', 'paper')
+
+# What can be chosen by name: the function that does it. A new one is a function and a line here.
+DESCRIPTORS = {
+    'esf': 'csgm_ros.structure.descriptors:of_supervoxels',
+    'context': 'csgm_ros.structure.descriptors:of_surroundings',
+}
+HYPOTHESIS_SOURCES = {
+    'graph': 'csgm_ros.transform.graph_source:propose',
+    'local': 'csgm_ros.transform.local_source:propose',
+}
 
 
 @dataclass(frozen=True)
 class PreprocessConfig(Checked):
     """What is done to a cloud before the five steps."""
 
-    stray_factor: float = param(
+    outlier_factor: float = param(
         2.5,
-        'points whose neighbours are farther than this do not count for the radius; 0 keeps clutter too (the paper)',
+        'points whose neighbours are farther than this do not count for the radius; 0 keeps all outliers (the paper)',
         unit='median distance',
         low=0.0,
         high=1000.0,
     )
     normal_neighbors: int = param(20, 'points from which a normal is estimated', low=3, high=200)
-    noise_threshold: float = param(
-        0.6, 'thickness of the surface from which smoothing is tried while no result is certain', low=0.0, high=1.0
+    max_surface_variation: float = param(
+        0.6, 'surface variation above which smoothing is tried while no result is certain', low=0.0, high=1.0
     )
     smoothing: tuple[int, ...] = param(
         (40, 100), 'neighbours to smooth a noisy cloud with, tried one after the other', low=3, high=1000
@@ -78,7 +91,7 @@ class DescriptorConfig(Checked):
     kind: str = param(
         'context',
         'esf: ESF-640 of the bare supervoxel (the paper); context: ESF and FPFH of its surroundings',
-        choices=('esf', 'context'),
+        choices=tuple(DESCRIPTORS),
     )
     context_radius: float = param(
         1.5, 'radius of the surroundings that describe a node', unit='seed_size', low=0.5, high=10.0
@@ -139,13 +152,19 @@ class RansacConfig(Checked):
 class HypothesesConfig(Checked):
     """Step 5b, many hypotheses instead of one: where they come from and how many."""
 
-    sources: str = param(
-        'both',
-        'ransac: the one transform of RANSAC on the matches (the paper); graph: triples of matched nodes and of '
-        'their next-best partners; local: triples of local features (FPFH); both: graph and local',
-        choices=('ransac', 'graph', 'local', 'both'),
+    method: str = param(
+        'search',
+        'search: many hypotheses, verified from both sides; ransac: the one transform of RANSAC on the matched nodes '
+        '(the paper)',
+        choices=('search', 'ransac'),
     )
-    partners: int = param(4, 'candidate partners of each node or local feature', low=1, high=50)
+    sources: tuple[str, ...] = param(
+        ('graph', 'local'),
+        'where the search gets its hypotheses, one source after the other; graph: triples of matched nodes and of '
+        'their next-best correspondences; local: triples of keypoints with similar FPFH',
+        choices=tuple(HYPOTHESIS_SOURCES),
+    )
+    correspondences: int = param(4, 'putative correspondences of each node or keypoint', low=1, high=50)
     feature_radius: float = param(0.25, 'radius of a local feature', unit=RADIUS, low=0.02, high=1.0)
     scale_factor: float = param(
         2.0, 'scales searched are those of Eq. (1), whose error reaches 42 %, times or by this', low=1.0, high=20.0
@@ -153,7 +172,7 @@ class HypothesesConfig(Checked):
     relative_scales: tuple[float, ...] = param(
         (0.6, 1.6), 'lengths tried, relative to the configured ones, while no result is certain', low=0.05, high=20.0
     )
-    trials: int = param(1000000, 'random triples drawn per source', low=100, high=100000000)
+    trials: int = param(1000000, 'minimal samples (triples) drawn per source', low=100, high=100000000)
     limit: int = param(10000, 'hypotheses kept per relative scale and source', low=10, high=1000000)
     min_side: float = param(0.2, 'shortest side of a triple', unit=RADIUS, low=0.01, high=1.0)
     side_tolerance: float = param(0.2, 'how much the scales of the sides of a triple may differ', low=0.01, high=1.0)
@@ -167,14 +186,24 @@ class VerificationConfig(Checked):
     """Which hypothesis is right, and is it right at all."""
 
     coarse_samples: int = param(150, 'points of either side for the coarse score', low=20, high=100000)
-    coarse_distance: float = param(
-        0.08, 'distance that counts nothing in the coarse score', unit=RADIUS, low=0.005, high=0.12
+    coarse_truncation: float = param(
+        0.08,
+        'distance from which the truncated linear score is 0 before the short ICP',
+        unit=RADIUS,
+        low=0.005,
+        high=0.12,
     )
     refined: int = param(60, 'best different hypotheses that get a short ICP', low=1, high=10000)
     samples: int = param(700, 'points of either side in the short ICP and its score', low=20, high=1000000)
-    gates: tuple[float, ...] = param((0.12, 0.08, 0.05), 'gates of the short ICP', unit=RADIUS, low=0.001, high=0.12)
-    score_distance: float = param(
-        0.04, 'distance that counts nothing after the short ICP', unit=RADIUS, low=0.001, high=0.12
+    max_correspondence_distances: tuple[float, ...] = param(
+        (0.12, 0.08, 0.05), 'of the short ICP, one run after the other', unit=RADIUS, low=0.001, high=0.12
+    )
+    fine_truncation: float = param(
+        0.04,
+        'distance from which the truncated linear score is 0 after the short ICP',
+        unit=RADIUS,
+        low=0.001,
+        high=0.12,
     )
     finalists: int = param(6, 'best different hypotheses that are measured on the fine clouds', low=1, high=100)
     distinct: float = param(0.1, 'RMS displacement up to which two hypotheses are one', unit=RADIUS, low=0.01, high=1.0)
@@ -198,10 +227,13 @@ class VerificationConfig(Checked):
         1.25, 'score over that of the best different hypothesis below which a result is rejected', low=1.0, high=100.0
     )
     certain_margin: float = param(
-        1.7, 'margin from which no more rivals are sought: in further hypotheses, at further looks', low=1.0, high=100.0
+        1.7,
+        'margin from which no more competing hypotheses are sought, from further sources, in further attempts',
+        low=1.0,
+        high=100.0,
     )
-    min_margin_again: float = param(
-        1.5, 'the same after smoothing or at other lengths: many tries find more by chance', low=1.0, high=100.0
+    min_margin_retried: float = param(
+        1.5, 'the same for what further attempts find: many tries find more by chance', low=1.0, high=100.0
     )
     min_lead: float = param(
         0.02, 'score above that of the best different hypothesis below which a result is rejected', low=0.0, high=1.0
@@ -210,44 +242,17 @@ class VerificationConfig(Checked):
 
 @dataclass(frozen=True)
 class IcpConfig(Checked):
-    """Step 5c, final ICP with shrinking gates."""
+    """Step 5c, final ICP with shrinking correspondence distance."""
 
     estimate_scale: bool = param(True, 'refine the scale too; the paper leaves it at Eq. (1) and RANSAC')
-    iterations: int = param(30, 'ICP iterations at most per gate', low=1, high=1000)
-    gates: tuple[float, ...] = param(
+    iterations: int = param(30, 'ICP iterations at most per run', low=1, high=1000)
+    max_correspondence_distances: tuple[float, ...] = param(
         (0.02, 0.01),
-        'largest distance of a correspondence, one ICP run after the other',
+        'largest distance of a correspondence, one run after the other',
         unit=RADIUS,
         low=0.0005,
         high=1.0,
     )
-
-
-@dataclass(frozen=True)
-class Config(Checked):
-    """Everything :func:`csgm_ros.register` can be told, one part a stage."""
-
-    profile: str = param(
-        'robust', 'robust: the default; paper: the literal method, for comparison', choices=('robust', 'paper')
-    )
-    threads: int = param(0, 'threads at most; 0 takes every core. The result does not depend on it', low=0, high=256)
-    time_budget: float = param(
-        0.0,
-        'seconds after which the best verified answer so far is judged; 0 for no limit',
-        unit='s',
-        low=0.0,
-        high=86400.0,
-    )
-    preprocess: PreprocessConfig = field(default_factory=PreprocessConfig)
-    scale: ScaleConfig = field(default_factory=ScaleConfig)
-    supervoxels: SupervoxelConfig = field(default_factory=SupervoxelConfig)
-    descriptors: DescriptorConfig = field(default_factory=DescriptorConfig)
-    graph: GraphConfig = field(default_factory=GraphConfig)
-    matching: MatchingConfig = field(default_factory=MatchingConfig)
-    ransac: RansacConfig = field(default_factory=RansacConfig)
-    hypotheses: HypothesesConfig = field(default_factory=HypothesesConfig)
-    verification: VerificationConfig = field(default_factory=VerificationConfig)
-    icp: IcpConfig = field(default_factory=IcpConfig)
 
 
 @dataclass(frozen=True)
@@ -277,23 +282,105 @@ class NodeConfig(Checked):
 
 
 PAPER = {
-    'preprocess.stray_factor': 0.0,
-    'descriptors.kind': 'esf',
-    'descriptors.esf_samples': 20000,
-    'graph.edges': 'adjacency',
-    'graph.edge_descriptor': 'euler',
-    'graph.similarity': 'linear',
-    'matching.alpha_steps': 101,
-    'matching.frank_wolfe_iterations': 100,
-    'matching.gap_tolerance': 1e-6,
-    'matching.smooth_weight': 1.0,
-    'matching.search_effort': 0.0,
-    'hypotheses.sources': 'ransac',
-    'icp.estimate_scale': False,
+    'preprocess': {'outlier_factor': 0.0},
+    'descriptors': {'kind': 'esf', 'esf_samples': 20000},
+    'graph': {'edges': 'adjacency', 'edge_descriptor': 'euler', 'similarity': 'linear'},
+    'matching': {
+        'alpha_steps': 101,
+        'frank_wolfe_iterations': 100,
+        'gap_tolerance': 1e-6,
+        'smooth_weight': 1.0,
+        'search_effort': 0.0,
+    },
+    'hypotheses': {'method': 'ransac'},
+    'icp': {'estimate_scale': False},
 }
+
+
+# Names of version 0.1: who uses one is told the new one.
+RENAMED = {
+    'preprocess.stray_factor': 'preprocess.outlier_factor',
+    'preprocess.noise_threshold': 'preprocess.max_surface_variation',
+    'hypotheses.partners': 'hypotheses.correspondences',
+    'verification.coarse_distance': 'verification.coarse_truncation',
+    'verification.score_distance': 'verification.fine_truncation',
+    'verification.gates': 'verification.max_correspondence_distances',
+    'verification.min_margin_again': 'verification.min_margin_retried',
+    'icp.gates': 'icp.max_correspondence_distances',
+}
+
+
+@dataclass(frozen=True)
+class Config(Checked):
+    """Everything :func:`csgm_ros.register` can be told, one part a stage.
+
+    A part that is not given has the values of the profile.
+    """
+
+    profile: str = param('robust', 'robust: the default; paper: the literal method, for comparison', choices=PROFILES)
+    threads: int = param(0, 'threads at most; 0 takes every core. The result does not depend on it', low=0, high=256)
+    time_budget: float = param(
+        0.0,
+        'seconds after which the best verified answer so far is judged; 0 for no limit',
+        unit='s',
+        low=0.0,
+        high=86400.0,
+    )
+    preprocess: PreprocessConfig = None  # type: ignore[assignment]
+    scale: ScaleConfig = None  # type: ignore[assignment]
+    supervoxels: SupervoxelConfig = None  # type: ignore[assignment]
+    descriptors: DescriptorConfig = None  # type: ignore[assignment]
+    graph: GraphConfig = None  # type: ignore[assignment]
+    matching: MatchingConfig = None  # type: ignore[assignment]
+    ransac: RansacConfig = None  # type: ignore[assignment]
+    hypotheses: HypothesesConfig = None  # type: ignore[assignment]
+    verification: VerificationConfig = None  # type: ignore[assignment]
+    icp: IcpConfig = None  # type: ignore[assignment]
+
+    def __post_init__(self):
+        super().__post_init__()
+        for name, kind in part_types(type(self)).items():
+            if getattr(self, name) is None:
+                own = PAPER.get(name, {}) if self.profile == 'paper' else {}
+                object.__setattr__(self, name, kind(**own))
 
 
 def profile(name: str = 'robust') -> Config:
     """Return the configuration of a profile, ``robust`` or ``paper``."""
-    config = replaced(Config(), {'profile': name})
-    return replaced(config, PAPER) if name == 'paper' else config
+    return Config(profile=name)
+
+
+def configured(values: dict[str, Any], base: str | None = None) -> Config:
+    """Return the configuration of a profile with dotted names replaced.
+
+    Parameters
+    ----------
+    values : dict
+        ``{'stage.name': value}``; ``profile`` among them chooses the profile below all others.
+    base : str, optional
+        Profile where ``values`` name none; default: robust.
+
+    Raises
+    ------
+    ConfigError
+        For a name that does not exist or a value out of its type or bounds; the message names it.
+    """
+    others = {name: value for name, value in values.items() if name != 'profile'}
+    return replaced(profile(values.get('profile', base or 'robust')), others)
+
+
+def replaced(config: Any, values: dict[str, Any]) -> Any:
+    """Return ``config`` with dotted names replaced, checked as a whole.
+
+    Raises
+    ------
+    ConfigError
+        For a name that does not exist, an earlier name of a parameter, or a value out of its type or bounds; the
+        message names it. The profile of a whole configuration cannot be replaced: it is what the others started from.
+    """
+    renamed = [name for name in values if name in RENAMED]
+    if renamed:
+        raise ConfigError(f'{renamed[0]} is called {RENAMED[renamed[0]]} now')
+    if 'profile' in values and values['profile'] != getattr(config, 'profile', None):
+        raise ConfigError('profile: is chosen before all other parameters, by --profile or csgm_ros.profile(name)')
+    return schema.replaced(config, values)

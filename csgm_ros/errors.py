@@ -1,5 +1,8 @@
 """Errors that csgm_ros raises on purpose: each message names the input and the remedy."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class CsgmError(Exception):
     """Base of every error raised on purpose."""
@@ -19,3 +22,12 @@ class ConfigError(CsgmError, ValueError):
 
 class Cancelled(CsgmError):
     """The caller asked a running registration to stop."""
+
+
+@contextmanager
+def naming(name: str) -> Iterator[None]:
+    """Put the name of an input before every InputError raised inside."""
+    try:
+        yield
+    except InputError as error:
+        raise type(error)(f'{name}: {error}') from None

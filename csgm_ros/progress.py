@@ -30,19 +30,23 @@ class Clock:
         self._end()
         self._stage = stage
         self._fraction = self._low + (self._high - self._low) * STAGES.index(stage) / len(STAGES)
-        self.tick()
+        self.report()
 
-    def tick(self) -> bool:
-        """Report that work goes on (this is where the caller can cancel); False once the time budget is spent."""
+    def report(self) -> None:
+        """Tell the caller that work goes on; whatever its callback raises ends the registration."""
         if self._on_progress:
             self._on_progress(self._stage, self._fraction)
-        return time.perf_counter() < self._deadline
+
+    @property
+    def expired(self) -> bool:
+        """True once the time budget is spent."""
+        return time.perf_counter() >= self._deadline
 
     def finish(self) -> None:
         """End the last stage and report that all is done."""
         self._end()
         self._stage, self._fraction = 'done', 1.0
-        self.tick()
+        self.report()
 
     def _end(self) -> None:
         now = time.perf_counter()

@@ -1,33 +1,44 @@
-"""The registration pipeline: Algorithm 1 of the paper, stage by stage."""
+"""The registration: Algorithm 1 of the paper, step by step."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from functools import cache
 
 import numpy as np
 
-from csgm_ros.cloud.outliers import dense_part, smoothed, thickness, without_clutter, without_far_strays
+from csgm_ros.attempts import Attempt, schedule, unanimous
 from csgm_ros.cloud.prepare import finite_points
-from csgm_ros.cloud.voxels import voxel_means
+from csgm_ros.cloud.smoothing import smoothed
 from csgm_ros.config import Config, profile, replaced
-from csgm_ros.errors import DegenerateCloudError
+from csgm_ros.errors import DegenerateCloudError, naming
+from csgm_ros.graph.affinity import affinity
+from csgm_ros.graph.build import build
+from csgm_ros.matching.match import match_graphs
 from csgm_ros.progress import Clock, Progress
-from csgm_ros.scale import normalizations, radius, search_range
-from csgm_ros.structure.extract import Structure, cut, describe
-from csgm_ros.transform import correspondences as partners
-from csgm_ros.transform.correspondences import GraphMatch
-from csgm_ros.transform.hypotheses import from_triples
-from csgm_ros.transform.hypothesis_search import search
+from csgm_ros.scale import normalize, search_range
+from csgm_ros.structure.extract import cut, describe
+from csgm_ros.structure.keypoints import describe_keypoints
+from csgm_ros.transform.hypothesis_search import search, search_grid
 from csgm_ros.transform.ransac import ransac
-from csgm_ros.transform.similarity import displacement
-from csgm_ros.types import RegistrationResult, Similarity, StructureGraph, Verdict
-from csgm_ros.verification.decide import Judge
+from csgm_ros.transform.refinement import refine_best, refine_finalists
+from csgm_ros.transform.sources import StructurePair, propose
+from csgm_ros.types import (
+    NearestGrid,
+    NormalizedPair,
+    RegistrationResult,
+    Similarity,
+    Structure,
+    StructureGraph,
+    Verdict,
+)
+from csgm_ros.verification.decide import no_hypothesis
+from csgm_ros.verification.evidence import Evidence
+from csgm_ros.verification.view import View
 
-MAX_SMOOTHING = 0.05  # of a cloud's points: averaged over more, little of its shape is left
-EVEN_VOXEL = 0.03  # of the radius: the density at which thickness is told
+NAMES = ('source', 'target')
 
 
 def register(
@@ -64,189 +75,199 @@ def register(
         Whatever ``on_progress`` raised.
     """
     config = config or profile()
-    clouds = finite_points(source, 'source'), finite_points(target, 'target')
+    clouds = finite_points(source, NAMES[0]), finite_points(target, NAMES[1])
     clock = Clock(on_progress, config.time_budget)
     clock.enter('scale normalization')
-    clouds, units = _normalized(clouds, config)
-    judge = Judge(clouds, units, config, np.random.default_rng(seed))
-    results: dict[int, RegistrationResult] = {}  # what each judge said last, by the smoothing of what it sees
-    for number, attempt in enumerate(_attempts(clouds, config)):
+    pair = normalize(clouds, config)  # step 1
+    views: dict[int, View] = {}
+    results: dict[int, RegistrationResult] = {}
+    for number, attempt in enumerate(schedule(pair, config)):
         clock.begin(number)
         try:
-            result = _attempt(clouds, units, attempt, judge, config, seed, clock)
+            view, result = _attempt(pair, attempt, views, config, seed, clock)
         except DegenerateCloudError:
             if not results:
                 raise
             continue  # smoothed, or at other lengths, a sparse cloud may have no structure left
-        judge.look_again()
+        view.end_attempt()
+        views[attempt.smoothing] = view
         results[attempt.smoothing] = result = _updated(results.get(attempt.smoothing), result)
-        certain = attempt.smoothing or result.verdict.margin >= config.verification.certain_margin
-        if (result.accepted and certain) or not clock.tick():
+        if (result.accepted and result.verdict.margin >= attempt.certain_margin) or clock.expired:
             break
     clock.finish()
-    result = _unanimous(list(results.values()), config.verification.different / units[1].scale)
+    result = unanimous(list(results.values()), config.verification.different / pair.normalizations[1].scale)
     return dataclasses.replace(result, timings=clock.timings)
 
 
-def _unanimous(results: list[RegistrationResult], different: float) -> RegistrationResult:
-    """Return the best result; rejected, where another look accepted a different transform."""
-    best = max(results, key=_rank)
-    nodes = best.source_graph.nodes
-    for other in results:
-        if other.accepted and displacement(best.transform, other.transform, nodes) > different:
-            reason = 'ambiguous: the clouds as they are and the smoothed ones fit in different places'
-            return dataclasses.replace(best, verdict=dataclasses.replace(best.verdict, accepted=False, reason=reason))
-    return best
-
-
-def _updated(earlier: RegistrationResult | None, result: RegistrationResult) -> RegistrationResult:
-    """Keep the graphs and matches of the look that found the transform."""
-    if earlier is None or not np.array_equal(earlier.T_target_source, result.T_target_source):
-        return result
-    return dataclasses.replace(earlier, verdict=result.verdict)
-
-
-def _normalized(clouds, config: Config) -> tuple[tuple[np.ndarray, ...], tuple[Similarity, ...]]:
-    """Step 1, and what would mislead it left out."""
-    factor = config.preprocess.stray_factor
-    if factor <= 0.0:
-        return clouds, normalizations(*clouds, config.scale)
-    clouds = tuple(map(without_clutter, clouds))
-    units = normalizations(*(dense_part(cloud, factor) for cloud in clouds), config.scale)
-    return tuple(without_far_strays(cloud, unit) for cloud, unit in zip(clouds, units, strict=True)), units
-
-
-class Attempt(NamedTuple):
-    """How the clouds are looked at.
-
-    Attributes
-    ----------
-    smoothing : int
-        Neighbours that noise is averaged over; 0 takes the clouds as they are.
-    relative : float
-        Lengths in the source relative to those in the target.
-    """
-
-    smoothing: int = 0
-    relative: float = 1.0
-
-
-def _attempts(clouds: tuple[np.ndarray, np.ndarray], config: Config) -> Iterator[Attempt]:
-    """Yield the clouds as they are; while nothing is certain, smoothed if noisy, then at other relative lengths."""
-    yield Attempt()
-    if config.hypotheses.sources == 'ransac':
-        return
-    if max(map(thickness, map(_evened, clouds))) > config.preprocess.noise_threshold:
-        most = MAX_SMOOTHING * min(map(len, clouds))
-        yield from (Attempt(smoothing=count) for count in config.preprocess.smoothing if count <= most)
-    if config.scale.estimate_scale:
-        yield from (Attempt(relative=relative) for relative in config.hypotheses.relative_scales)
-
-
-def _rank(result: RegistrationResult) -> tuple[bool, float]:
-    return result.accepted, result.verdict.margin
-
-
 def _attempt(
-    clouds, units, attempt: Attempt, judge: Judge, config: Config, seed: int, clock: Clock
-) -> RegistrationResult:
+    pair: NormalizedPair, attempt: Attempt, views: dict[int, View], config: Config, seed: int, clock: Clock
+) -> tuple[View, RegistrationResult]:
     """Steps 2 to 5 of Algorithm 1."""
     rng = np.random.default_rng(seed)
     clock.enter('structure extraction')
-    if attempt.smoothing:
-        smooth = [smoothed(unit.apply(cloud), attempt.smoothing) for cloud, unit in zip(clouds, units, strict=True)]
-        clouds = tuple(unit.inverse().apply(cloud) for cloud, unit in zip(smooth, units, strict=True))
-        judge = Judge(clouds, units, config, rng, smoothed=True)
-    source, target = _structures(clouds, units, attempt, config, rng)
+    view = views.get(attempt.smoothing) or _view(pair, attempt, config, rng, seed)
+    source, target = _structures(view.pair, attempt, config, rng)  # step 2
+    graphs = build(source, config.graph), build(target, config.graph)  # step 3
     clock.enter('graph matching')
-    match = partners.match(source, target, config, clock)
+    structures = _matched(source, target, graphs, attempt, view.pair, config, clock)  # step 4
     clock.enter('transformation estimation')
-    scales = search_range(*units, config.scale, config.hypotheses.scale_factor, attempt.relative)
-    estimate = _paper_estimate if config.hypotheses.sources == 'ransac' else _searched_estimate
-    best, verdict = estimate(source, target, match, judge, scales, config, rng, clock)
-
-    offsets = best.apply(source.graph.nodes[match.pairs[:, 0]]) - target.graph.nodes[match.pairs[:, 1]]
-    inliers = np.linalg.norm(offsets, axis=1) < config.ransac.inlier_distance
-    own = units[1].inverse() @ best @ units[0]
-    if not config.scale.estimate_scale:
-        own = dataclasses.replace(own, scale=1.0)  # which it is but for rounding
-    graphs = (_own_unit(side.graph, unit) for side, unit in zip((source, target), units, strict=True))
-    return RegistrationResult(own, verdict, {}, seed, config, *graphs, match.pairs, inliers)
+    estimate = {'search': _searched, 'ransac': _ransac}[config.hypotheses.method]  # step 5
+    best, verdict = estimate(structures, view, config, rng, clock)
+    return view, _result(best, verdict, structures, graphs, view.pair, config, seed)
 
 
-def _structures(clouds, units, attempt: Attempt, config: Config, rng) -> tuple[Structure, Structure]:
-    """Step 2 and the graphs of step 3, for both clouds at a time, with no more nodes than matching can take."""
-    names, relatives = ('source', 'target'), (attempt.relative, 1.0)
+def _view(pair: NormalizedPair, attempt: Attempt, config: Config, rng: np.random.Generator, seed: int) -> View:
+    if not attempt.smoothing:
+        return View(pair, config, np.random.default_rng(seed), retried=False)
+    sides = zip(pair.clouds, pair.normalizations, strict=True)
+    clouds = tuple(unit.inverse().apply(smoothed(unit.apply(cloud), attempt.smoothing)) for cloud, unit in sides)
+    return View(NormalizedPair(clouds, pair.normalizations), config, rng, retried=True)
+
+
+def _structures(
+    pair: NormalizedPair, attempt: Attempt, config: Config, rng: np.random.Generator
+) -> tuple[Structure, Structure]:
+    """Step 2 for both clouds at a time, with no more nodes than matching can take."""
+    relatives = (attempt.relative, 1.0)
     with ThreadPoolExecutor(1 if config.threads == 1 else 2) as pool:
         for last in (False, False, True):
-            cuts = tuple(pool.map(cut, clouds, units, (config,) * 2, relatives))
+            cuts = tuple(pool.map(_cut, NAMES, pair.clouds, pair.normalizations, (config,) * 2, relatives))
             crowding = max(map(len, cuts)) / config.supervoxels.max_nodes
             if crowding <= 1.0 or last:
                 break
             seed_size = min(config.supervoxels.seed_size * 1.1 * np.sqrt(crowding), 1.0)
             config = replaced(config, {'supervoxels.seed_size': float(seed_size)})
-        return tuple(pool.map(_structure, names, cuts, units, (config,) * 2, rng.spawn(2), relatives))
+        return tuple(pool.map(_described, NAMES, cuts, pair.normalizations, (config,) * 2, rng.spawn(2), relatives))
 
 
-def _structure(name: str, *inputs) -> Structure:
-    try:
+def _cut(name: str, *inputs):
+    with naming(name):
+        return cut(*inputs)
+
+
+def _described(name: str, *inputs) -> Structure:
+    with naming(name):
         return describe(*inputs)
-    except DegenerateCloudError as error:
-        raise DegenerateCloudError(f'{name}: {error}') from None
 
 
-def _paper_estimate(source: Structure, target: Structure, match: GraphMatch, judge: Judge, scales, config, rng, clock):
+def _matched(
+    source: Structure,
+    target: Structure,
+    graphs: tuple[StructureGraph, StructureGraph],
+    attempt: Attempt,
+    pair: NormalizedPair,
+    config: Config,
+    clock: Clock,
+) -> StructurePair:
+    """Affinities K_p and K_q, and step 4: enhanced factorised graph matching."""
+    part, (first, second) = config.graph, graphs
+    node_affinity = affinity(first.node_descriptors, second.node_descriptors, part.similarity, part.node_sigma)
+    edge_affinity = affinity(first.edge_descriptors, second.edge_descriptors, part.similarity, part.edge_sigma)
+    matching = match_graphs(
+        node_affinity,
+        edge_affinity,
+        first.edges,
+        second.edges,
+        config=config.matching,
+        positions_1=first.nodes,
+        positions_2=second.nodes,
+        is_cancelled=clock.report,  # raises where the caller wants to stop
+    )
+
+    @cache
+    def keypoints():
+        radius = config.hypotheses.feature_radius
+        return tuple(describe_keypoints(side.surface, radius * side.unit) for side in (source, target))
+
+    scales = search_range(*pair.normalizations, config.scale, config.hypotheses.scale_factor, attempt.relative)
+    return StructurePair(source, target, matching.pairs, node_affinity, scales, keypoints)
+
+
+def _ransac(
+    structures: StructurePair, view: View, config: Config, rng: np.random.Generator, clock: Clock
+) -> tuple[Similarity, Verdict]:
     """Step 5 as the paper has it: RANSAC on the matched centroids, then ICP."""
     start, _ = ransac(
-        source.graph.nodes[match.pairs[:, 0]],
-        target.graph.nodes[match.pairs[:, 1]],
+        structures.source.nodes[structures.matches[:, 0]],
+        structures.target.nodes[structures.matches[:, 1]],
         rng,
         iterations=config.ransac.iterations,
         inlier_distance=config.ransac.inlier_distance,
         estimate_scale=config.scale.estimate_scale,
     )
-    # RANSAC's winner has no rivals of its own, and without rivals no verdict: search for some
-    for _ in _judged(('graph', 'local'), source, target, match, judge, scales, config, rng, clock):
+    # RANSAC has no competing hypotheses, and without them there is no verdict: search for some
+    for _ in _candidates(('graph', 'local'), structures, view, config, rng, clock):
         pass
-    best = judge.polish(start, config.scale.estimate_scale and config.icp.estimate_scale)
-    return best, judge.verdict(best, judge.fit(best))
+    scaled = config.scale.estimate_scale and config.icp.estimate_scale
+    best = view.measure(refine_best(start, *view.surfaces, config, estimate_scale=scaled))
+    return best.transform, view.judge(best)
 
 
-def _searched_estimate(
-    source: Structure, target: Structure, match: GraphMatch, judge: Judge, scales, config, rng, clock
-):
-    """Step 5 extended: many hypotheses from the graph, then from local features, verified from both sides."""
-    sources = config.hypotheses.sources
-    kinds = ('graph', 'local') if sources == 'both' else (sources,)
-    for judged in _judged(kinds, source, target, match, judge, scales, config, rng, clock):
-        _, verdict = judged
-        # a narrow margin may only mean that the best rival has not been found yet
-        if (verdict.accepted and verdict.margin >= config.verification.certain_margin) or not clock.tick():
+def _searched(
+    structures: StructurePair, view: View, config: Config, rng: np.random.Generator, clock: Clock
+) -> tuple[Similarity, Verdict]:
+    """Step 5 extended: many hypotheses, from one source after the other, verified from both sides."""
+    best, verdict = Similarity.identity(), no_hypothesis()
+    for _ in _candidates(config.hypotheses.sources, structures, view, config, rng, clock):
+        if view.measured:
+            evidence = _best(view, config)
+            best, verdict = evidence.transform, view.judge(evidence)
+        clock.report()
+        # a narrow margin may only mean that the best competing hypothesis has not been found yet
+        if (verdict.accepted and verdict.margin >= config.verification.certain_margin) or clock.expired:
             break
-    return judged
+    return best, verdict
 
 
-def _judged(
-    kinds, source: Structure, target: Structure, match: GraphMatch, judge: Judge, scales, config: Config, rng, clock
-) -> Iterator[tuple[Similarity, Verdict]]:
-    """Yield the best so far and its verdict after the hypotheses of each kind of source."""
-    part = config.hypotheses
-    for kind in kinds:
-        if kind == 'graph':
-            found = partners.of_nodes(source, target, match, part.partners)
-        else:
-            found = partners.of_features(source, target, part)
-        hypotheses = from_triples(found, rng, part, scales)
-        yield judge.consider(search(hypotheses, source.surface, target.surface, config, rng, clock))
+def _best(view: View, config: Config) -> Evidence:
+    """Return the best of all measured transforms, after the final ICP of the paper where that makes it better."""
+    best = max(view.measured, key=lambda evidence: evidence.score)
+    scaled = config.scale.estimate_scale
+    refined = view.measure(refine_best(best.transform, *view.surfaces, config, estimate_scale=scaled))
+    return refined if refined.score > best.score else best
 
 
-def _evened(points: np.ndarray) -> np.ndarray:
-    return voxel_means(points, EVEN_VOXEL * radius(points))
+def _candidates(
+    sources: tuple[str, ...], structures: StructurePair, view: View, config: Config, rng: np.random.Generator, clock
+) -> Iterator[None]:
+    """Propose, search, refine and measure; yield after the hypotheses of each source."""
+    grids: tuple[NearestGrid, ...] = ()
+    for name in sources:
+        hypotheses = propose(name, structures, config.hypotheses, rng)
+        if len(hypotheses):
+            grids = grids or tuple(search_grid(side.surface) for side in (structures.source, structures.target))
+            finalists = search(hypotheses, *grids, config, rng, clock)
+            view.measured += map(view.measure, refine_finalists(finalists, *view.surfaces, config))
+        yield
 
 
-def _own_unit(graph: StructureGraph, unit: Similarity) -> StructureGraph:
-    nodes = unit.inverse().apply(graph.nodes)
-    return dataclasses.replace(graph, nodes=nodes)
+def _result(
+    best: Similarity,
+    verdict: Verdict,
+    structures: StructurePair,
+    graphs: tuple[StructureGraph, StructureGraph],
+    pair: NormalizedPair,
+    config: Config,
+    seed: int,
+) -> RegistrationResult:
+    matches = structures.matches
+    offsets = best.apply(graphs[0].nodes[matches[:, 0]]) - graphs[1].nodes[matches[:, 1]]
+    inliers = np.linalg.norm(offsets, axis=1) < config.ransac.inlier_distance
+    own = pair.in_own_units(best)
+    if not config.scale.estimate_scale:
+        own = dataclasses.replace(own, scale=1.0)  # which it is but for rounding
+    shown = (
+        dataclasses.replace(graph, nodes=unit.inverse().apply(graph.nodes))
+        for graph, unit in zip(graphs, pair.normalizations, strict=True)
+    )
+    return RegistrationResult(own, verdict, {}, seed, config, *shown, matches, inliers)
+
+
+def _updated(earlier: RegistrationResult | None, result: RegistrationResult) -> RegistrationResult:
+    """Keep the graphs and matches of the attempt that found the transform."""
+    if earlier is None or not np.array_equal(earlier.T_target_source, result.T_target_source):
+        return result
+    return dataclasses.replace(earlier, verdict=result.verdict)
 
 
 def warm_up() -> None:

@@ -4,13 +4,35 @@ from __future__ import annotations
 
 import numpy as np
 
-from csgm_ros.config import ScaleConfig
-from csgm_ros.types import Similarity
+from csgm_ros.cloud.outliers import without_far, without_isolated, without_uniform_outliers
+from csgm_ros.config import Config, ScaleConfig
+from csgm_ros.types import NormalizedPair, Similarity
 
 
 def radius(points: np.ndarray) -> float:
     """Return the largest distance of (N, 3) points to their centroid, the numerator of Eq. (1)."""
     return float(np.sqrt(((points - points.mean(0)) ** 2).sum(1).max()))
+
+
+def normalize(clouds: tuple[np.ndarray, np.ndarray], config: Config) -> NormalizedPair:
+    """Bring two clouds to radius 1, the points that would mislead Eq. (1) left out.
+
+    Parameters
+    ----------
+    clouds : pair of (N, 3) ndarray
+        Source and target, finite points in their own units.
+
+    Notes
+    -----
+    The paper measures the radius on all points. One outlier far away then changes every length that follows, so the
+    robust profile leaves outliers out before (``preprocess.outlier_factor``).
+    """
+    factor = config.preprocess.outlier_factor
+    if factor <= 0.0:
+        return NormalizedPair(clouds, normalizations(*clouds, config.scale))
+    clouds = tuple(map(without_uniform_outliers, clouds))
+    units = normalizations(*(without_isolated(cloud, factor) for cloud in clouds), config.scale)
+    return NormalizedPair(tuple(without_far(cloud, unit) for cloud, unit in zip(clouds, units, strict=True)), units)
 
 
 def normalizations(source: np.ndarray, target: np.ndarray, config: ScaleConfig) -> tuple[Similarity, Similarity]:
@@ -23,7 +45,7 @@ def normalizations(source: np.ndarray, target: np.ndarray, config: ScaleConfig) 
     Parameters
     ----------
     source, target : (N, 3), (M, 3) ndarray
-        Finite points, strays left out.
+        Finite points, outliers left out.
     config : ScaleConfig
         ``estimate_scale`` false is the rigid mode.
     """

@@ -6,6 +6,7 @@ import dataclasses
 import math
 import typing
 from dataclasses import field
+from importlib import import_module
 from typing import Any
 
 from csgm_ros.errors import ConfigError
@@ -24,7 +25,7 @@ class Checked:
         hints = typing.get_type_hints(type(self))
         for spec in dataclasses.fields(self):
             value = getattr(self, spec.name)
-            if not dataclasses.is_dataclass(value):
+            if not dataclasses.is_dataclass(hints[spec.name]):
                 object.__setattr__(self, spec.name, checked_value(spec, hints[spec.name], value))
 
 
@@ -34,7 +35,8 @@ def checked_value(spec: dataclasses.Field, kind: Any, value: Any) -> Any:
         value = float(value)
     if typing.get_origin(kind) is tuple:
         if not isinstance(value, (list, tuple)) or not value:
-            raise ConfigError(f'{spec.name} must be a non-empty list of numbers, not {value!r}')
+            example = ', '.join(map(str, spec.default))
+            raise ConfigError(f'{spec.name} must be a non-empty list such as [{example}], not {value!r}')
         return tuple(checked_value(spec, typing.get_args(kind)[0], item) for item in value)
     if type(value) is not kind:
         raise ConfigError(f'{spec.name} must be {kind.__name__}, not {value!r}')
@@ -46,6 +48,18 @@ def checked_value(spec: dataclasses.Field, kind: Any, value: Any) -> Any:
     if (low is not None and value < low) or (high is not None and value > high):
         raise ConfigError(f'{spec.name} must lie in [{low}, {high}], not {value!r}')
     return value
+
+
+def implementation(address: str) -> Any:
+    """Import what a table of the configuration names as ``module:attribute``, on first use."""
+    module, _, name = address.partition(':')
+    return getattr(import_module(module), name)
+
+
+def part_types(config_type: Any) -> dict[str, Any]:
+    """Return ``{'stage': dataclass}`` of the parts of a configuration."""
+    hints = typing.get_type_hints(config_type)
+    return {name: kind for name, kind in hints.items() if dataclasses.is_dataclass(kind)}
 
 
 def flatten(config: Any, prefix: str = '') -> dict[str, Any]:

@@ -6,7 +6,7 @@ One sentence fixes every direction: ``x_target = s * R @ x_source + t``.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -61,6 +61,10 @@ class Similarity:
         scale = 1.0 / self.scale
         return Similarity(scale, self.rotation.T, -scale * (self.rotation.T @ self.translation))
 
+    def displacement(self, other: Similarity, points: np.ndarray) -> float:
+        """Return the RMS distance between (N, 3) source points under this and another transform, target units."""
+        return float(np.sqrt(((self.apply(points) - other.apply(points)) ** 2).sum(1).mean()))
+
     def __matmul__(self, other: Similarity) -> Similarity:
         """Compose: ``(a @ b).apply(x) == a.apply(b.apply(x))``."""
         return Similarity(self.scale * other.scale, self.rotation @ other.rotation, self.apply(other.translation))
@@ -89,6 +93,27 @@ class Cloud:
     frame_id: str = ''
     stamp: int = 0
     dropped: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class NormalizedPair:
+    """Source and target after step 1.
+
+    Attributes
+    ----------
+    clouds : pair of (N, 3) ndarray
+        Finite points in the clouds' own units, outliers left out.
+    normalizations : pair of Similarity
+        From each own unit to a frame in which the cloud is centred and has radius 1.
+    """
+
+    clouds: tuple[np.ndarray, np.ndarray]
+    normalizations: tuple[Similarity, Similarity]
+
+    def in_own_units(self, transform: Similarity) -> Similarity:
+        """Return a transform between the normalised clouds as one between the clouds as they were given."""
+        source, target = self.normalizations
+        return target.inverse() @ transform @ source
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +170,32 @@ class Supervoxels:
 
 
 @dataclass(frozen=True, eq=False)
+class Structure:
+    """Macro and micro structure of one cloud in its normalised frame (Sec. III-B).
+
+    Attributes
+    ----------
+    surface : PreparedCloud
+        The voxels that the supervoxels were grown from.
+    nodes, normals : (n, 3) ndarray
+        Centroids and unit normals of the supervoxels.
+    descriptors : (n, d_p) ndarray
+        What describes each node: P of the paper.
+    adjacency : (m, 2) int32 ndarray
+        Directed edges between touching supervoxels.
+    unit : float
+        Length to which the configured ones are relative, here.
+    """
+
+    surface: PreparedCloud
+    nodes: np.ndarray
+    normals: np.ndarray
+    descriptors: np.ndarray
+    adjacency: np.ndarray
+    unit: float
+
+
+@dataclass(frozen=True, eq=False)
 class StructureGraph:
     """Nodes with micro-structure descriptors, directed edges with macro-structure descriptors (Sec. III-C).
 
@@ -165,6 +216,66 @@ class StructureGraph:
     node_descriptors: np.ndarray
     edges: np.ndarray
     edge_descriptors: np.ndarray
+
+
+class NearestGrid(NamedTuple):
+    """A cloud with its look-up table; -1 in ``index`` where no point lies within reach.
+
+    Attributes
+    ----------
+    points, normals : (N, 3) ndarray
+        The cloud.
+    index : (a, b, c) int32 ndarray
+        Nearest point of each cell.
+    origin : (3,) ndarray
+        Lower corner of the grid.
+    cell : float
+        Edge of a cell.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    index: np.ndarray
+    origin: np.ndarray
+    cell: float
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A finely sampled cloud of radius about 1 and what can be told from it about the surface.
+
+    Attributes
+    ----------
+    points, normals : (N, 3) ndarray
+    tree : cKDTree
+        Of the points, for exact nearest points.
+    grid : NearestGrid
+        Of the points, for quick ones.
+    sample : (S,) index array
+        The points that are measured.
+    gap : float
+        How far aside of a point the surface still is: the distance to its fourth neighbour, as far as that exceeds
+        the inlier distance, and at most twice that. 0 where noise hides how the surface goes on.
+    bend : float
+        Median angle in degrees between the normals across the neighbourhoods that these were estimated from:
+        curvature, and noise.
+    roughness : (S,) ndarray
+        Angle in degrees between the normals of every measured point and its nearest neighbour: noise.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    tree: Any
+    grid: NearestGrid
+    sample: np.ndarray
+    gap: float
+    bend: float
+    roughness: np.ndarray
+
+    @property
+    def probe(self) -> np.ndarray:
+        """The (S, 3) points that are measured."""
+        return self.points[self.sample]
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from csgm_ros.transform.similarity import displacement
 from csgm_ros.types import Similarity
 
 
@@ -88,4 +87,4 @@ def radius(points: np.ndarray) -> float:
 
 def error(found: Similarity, truth: Similarity, source: np.ndarray) -> float:
     """Return the RMS displacement between two transforms over the radius of the moved source."""
-    return displacement(found, truth, source) / radius(truth.apply(source))
+    return found.displacement(truth, source) / radius(truth.apply(source))

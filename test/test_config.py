@@ -8,7 +8,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from csgm_ros.config import Config, NodeConfig, flatten, parameter_fields, profile, replaced
+from csgm_ros.config import RENAMED, Config, NodeConfig, configured, flatten, parameter_fields, profile, replaced
 from csgm_ros.errors import ConfigError
 from csgm_ros.io.config_files import assignment, config_yaml, read_config
 from csgm_ros.io.resources import config_file
@@ -72,6 +72,25 @@ def test_nested_dotted_and_ros_forms_mean_the_same(tmp_path, text):
     assert read_config(path) == replaced(profile(), {'icp.iterations': 7})
 
 
+def test_a_profile_is_the_same_however_it_is_chosen():
+    assert Config() == profile('robust')
+    assert Config(profile='paper') == profile('paper') == configured({'profile': 'paper'})
+    assert Config(profile='paper').hypotheses.method == 'ransac'
+    for late in (lambda: assignment(profile(), 'profile=paper'), lambda: replaced(profile(), {'profile': 'paper'})):
+        with pytest.raises(ConfigError, match='--profile'):
+            late()
+
+
+@pytest.mark.parametrize('old', RENAMED)
+def test_an_earlier_name_is_answered_with_the_new_one(old, tmp_path):
+    assert RENAMED[old] in flatten(Config())
+    path = tmp_path / 'c.yaml'
+    path.write_text(f'{old}: 1')
+    for use in (lambda: read_config(path), lambda: assignment(profile(), f'{old}=1')):
+        with pytest.raises(ConfigError, match=f'{old} is called {RENAMED[old]} now'):
+            use()
+
+
 def test_a_file_may_choose_its_profile(tmp_path):
     path = tmp_path / 'c.yaml'
     path.write_text('profile: paper\nicp.iterations: 7')
@@ -120,10 +139,16 @@ def test_a_missing_or_binary_file_is_refused(tmp_path):
 
 
 def test_assignments():
-    assert assignment(profile(), 'icp.gates=[0.1, 0.05]').icp.gates == (0.1, 0.05)
+    assert assignment(profile(), 'preprocess.smoothing=[10, 20]').preprocess.smoothing == (10, 20)
     assert assignment(profile(), 'scale.scale_min=1e-3').scale.scale_min == 1e-3
     assert assignment(profile(), 'scale.estimate_scale=false').scale.estimate_scale is False
-    for wrong in ('icp.gates', 'nothing=1', 'icp.iterations=1.5', 'icp.gates=[]', 'icp.gates=[1'):
+    for wrong in (
+        'preprocess.smoothing',
+        'nothing=1',
+        'icp.iterations=1.5',
+        'preprocess.smoothing=[]',
+        'preprocess.smoothing=[1',
+    ):
         with pytest.raises(ConfigError):
             assignment(profile(), wrong)
 

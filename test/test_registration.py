@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from scenes import ball, box, cylinder, error, radius, random_rotation, random_similarity, rectangle, room
 
-from csgm_ros import profile, register, registration
+from csgm_ros import profile, register
+from csgm_ros.attempts import unanimous
 from csgm_ros.config import replaced
 from csgm_ros.errors import Cancelled, DegenerateCloudError, InputError
 from csgm_ros.progress import STAGES
@@ -64,10 +65,10 @@ def test_recovers_a_part_of_the_scene_in_the_whole():
     assert_right(register(part, TRUTH.apply(SOURCE)), TRUTH, part)
 
 
-def test_clutter_around_the_source_does_not_mislead():
+def test_uniform_outliers_around_the_source_does_not_mislead():
     rng = np.random.default_rng(6)
-    clutter = rng.uniform(SOURCE.min(0), SOURCE.max(0), (len(SOURCE), 3))
-    assert_right(register(np.concatenate([SOURCE, clutter]), TRUTH.apply(TARGET)), TRUTH, SOURCE)
+    outliers = rng.uniform(SOURCE.min(0), SOURCE.max(0), (len(SOURCE), 3))
+    assert_right(register(np.concatenate([SOURCE, outliers]), TRUTH.apply(TARGET)), TRUTH, SOURCE)
 
 
 def test_a_source_with_one_of_twenty_points_is_accepted():
@@ -75,30 +76,30 @@ def test_a_source_with_one_of_twenty_points_is_accepted():
     assert_right(register(thin, TRUTH.apply(TARGET)), TRUTH, SOURCE, 0.03)
 
 
-def looks(config):
+def attempts(config):
     """How often the structure was extracted for a registration, and its result."""
     heard = []
     result = register(SOURCE, TRUTH.apply(TARGET), config, on_progress=lambda *call: heard.append(call))
     return len({fraction for stage, fraction in heard if stage == 'structure extraction'}), result
 
 
-def test_rivals_are_sought_at_other_lengths_until_the_margin_is_certain():
-    once, certain = looks(profile())
-    thrice, doubted = looks(replaced(profile(), {'verification.certain_margin': 100.0}))
+def test_competing_hypotheses_are_sought_at_other_lengths_until_the_margin_is_certain():
+    once, certain = attempts(profile())
+    thrice, doubted = attempts(replaced(profile(), {'verification.certain_margin': 100.0}))
     assert (once, thrice) == (1, 3)
     assert_right(doubted, TRUTH, SOURCE)
     assert doubted.verdict.margin <= certain.verdict.margin
     assert error(doubted.transform, certain.transform, SOURCE) < RIGHT
 
 
-def test_looks_that_accept_different_transforms_reject_each_other():
+def test_attempts_that_accept_different_transforms_reject_each_other():
     one = registered()
     shifted = dataclasses.replace(one.transform, translation=one.transform.translation + 0.3)
-    rival = dataclasses.replace(one, verdict=dataclasses.replace(one.verdict, margin=1.6), transform=shifted)
-    rejected = dataclasses.replace(rival, verdict=dataclasses.replace(rival.verdict, accepted=False))
-    assert registration._unanimous([rejected, one], 0.2) is one
-    assert registration._unanimous([rival, one], 1.0) is one
-    torn = registration._unanimous([rival, one], 0.2)
+    other = dataclasses.replace(one, verdict=dataclasses.replace(one.verdict, margin=1.6), transform=shifted)
+    rejected = dataclasses.replace(other, verdict=dataclasses.replace(other.verdict, accepted=False))
+    assert unanimous([rejected, one], 0.2) is one
+    assert unanimous([other, one], 1.0) is one
+    torn = unanimous([other, one], 0.2)
     assert not torn.accepted
     assert 'different places' in torn.reason
 
@@ -340,7 +341,7 @@ WRONG = {
     'nothing': None,
     'too large': SOURCE * 1e200,
     'too sparse': SOURCE[:60],
-    'stray far away': np.concatenate([SOURCE[:60], [[1e3, 0.0, 0.0]]]),
+    'outlier far away': np.concatenate([SOURCE[:60], [[1e3, 0.0, 0.0]]]),
 }
 
 
@@ -380,9 +381,9 @@ def test_a_scale_beyond_the_bounds_is_rejected():
     assert not register(SOURCE, 1e-9 * TARGET, QUICK).accepted
 
 
-@pytest.mark.parametrize('stray', [10.0, 1e3, 1e9])
-def test_one_stray_point_is_survived_or_rejected_or_refused(stray):
-    source = np.concatenate([SOURCE, np.full((1, 3), stray)])
+@pytest.mark.parametrize('outlier', [10.0, 1e3, 1e9])
+def test_one_outlier_point_is_survived_or_rejected_or_refused(outlier):
+    source = np.concatenate([SOURCE, np.full((1, 3), outlier)])
     try:
         result = register(source, TARGET, QUICK)
     except DegenerateCloudError:
@@ -390,6 +391,6 @@ def test_one_stray_point_is_survived_or_rejected_or_refused(stray):
     assert not result.accepted or error(result.transform, Similarity.identity(), SOURCE) < RIGHT
 
 
-def test_a_few_strays_nearby_do_not_matter():
-    strays = np.random.default_rng(0).normal(scale=4.0, size=(30, 3))
-    assert_right(register(np.concatenate([SOURCE, strays]), TARGET), Similarity.identity(), SOURCE)
+def test_a_few_outliers_nearby_do_not_matter():
+    outliers = np.random.default_rng(0).normal(scale=4.0, size=(30, 3))
+    assert_right(register(np.concatenate([SOURCE, outliers]), TARGET), Similarity.identity(), SOURCE)

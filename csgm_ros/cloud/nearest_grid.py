@@ -7,34 +7,12 @@ that point and too long by at most a cell's diagonal; the final ICP uses exact n
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numba
 import numpy as np
 
+from csgm_ros.types import NearestGrid
+
 MAX_CELLS = 5e7
-
-
-class NearestGrid(NamedTuple):
-    """A cloud with its look-up table; -1 in ``index`` where no point lies within reach.
-
-    Attributes
-    ----------
-    points, normals : (N, 3) ndarray
-        The cloud.
-    index : (a, b, c) int32 ndarray
-        Nearest point of each cell.
-    origin : (3,) ndarray
-        Lower corner of the grid.
-    cell : float
-        Edge of a cell.
-    """
-
-    points: np.ndarray
-    normals: np.ndarray
-    index: np.ndarray
-    origin: np.ndarray
-    cell: float
 
 
 def build(points: np.ndarray, normals: np.ndarray, cell: float, reach: float) -> NearestGrid:

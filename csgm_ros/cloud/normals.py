@@ -1,4 +1,4 @@
-"""Unsigned normals: of voxels from the voxels around them, and means of axes that have no sign."""
+"""Unsigned normals: of voxels from the voxels around them, means of axes without a sign, angles between them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ import numpy as np
 from numba import njit
 
 from csgm_ros.cloud.voxels import VoxelGrid
+
+
+def cosine(degrees: float) -> float:
+    """Return the cosine of an angle in degrees."""
+    return float(np.cos(np.radians(degrees)))
 
 
 def plane_normals(grid: VoxelGrid, labels: np.ndarray) -> np.ndarray:

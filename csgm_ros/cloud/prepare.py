@@ -59,7 +59,7 @@ def prepare(points: np.ndarray, normalization: Similarity, voxel_size: float, ne
     points : (N, 3) ndarray
         Finite points in the cloud's own unit.
     normalization : Similarity
-        Own unit to radius 1, see :func:`csgm_ros.scale.normalization`.
+        Own unit to radius 1, see :func:`csgm_ros.scale.normalize`.
     voxel_size : float
         Relative to the radius.
     neighbors : int

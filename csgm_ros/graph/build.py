@@ -4,27 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
-from csgm_ros.types import StructureGraph
+from csgm_ros.config import GraphConfig
+from csgm_ros.types import Structure, StructureGraph
 
 
-def build_graph(
-    nodes: np.ndarray, normals: np.ndarray, node_descriptors: np.ndarray, edges: np.ndarray, edge_descriptor: str
-) -> StructureGraph:
-    """Join nodes P and directed edges Q to a graph.
+def build(structure: Structure, config: GraphConfig) -> StructureGraph:
+    """Join the nodes P of a structure by directed edges Q.
 
     Parameters
     ----------
-    nodes, normals : (n, 3) ndarray
-        Supervoxel centroids and normals of arbitrary sign.
-    node_descriptors : (n, d_p) ndarray
-        Micro structure.
-    edges : (m, 2) int ndarray
-        Directed edges (start, end).
-    edge_descriptor : {'euler', 'invariant'}
-        See :func:`euler_descriptors` and :func:`invariant_descriptors`.
+    structure : Structure
+        Supervoxels and their descriptors.
+    config : GraphConfig
+        Which nodes are joined, and what describes an edge.
     """
-    describe = {'euler': euler_descriptors, 'invariant': invariant_descriptors}[edge_descriptor]
-    return StructureGraph(nodes, normals, node_descriptors, edges, describe(nodes, normals, edges))
+    edges = structure.adjacency if config.edges == 'adjacency' else neighbor_edges(structure.nodes, config.neighbors)
+    describe = {'euler': euler_descriptors, 'invariant': invariant_descriptors}[config.edge_descriptor]
+    described = describe(structure.nodes, structure.normals, edges)
+    return StructureGraph(structure.nodes, structure.normals, structure.descriptors, edges, described)
 
 
 def neighbor_edges(nodes: np.ndarray, count: int) -> np.ndarray:

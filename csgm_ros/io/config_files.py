@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from csgm_ros.config import Config, NodeConfig, flatten, parameter_fields, profile, replaced
+from csgm_ros.config import Config, NodeConfig, configured, flatten, parameter_fields, profile, replaced
 from csgm_ros.errors import ConfigError
 
 WIDTH = 116
@@ -59,12 +59,8 @@ def read_config(path: str | Path | None, profile_name: str | None = None) -> Con
         raise ConfigError(f'{path}: is for profile {own}, but --profile says {profile_name}; drop one of them')
     node_names = flatten(NodeConfig())
     try:
-        base = profile(profile_name or 'robust')
-        if own:
-            replaced(base, {'profile': own})
-            base = profile(own)
         replaced(NodeConfig(), {name: value for name, value in values.items() if name in node_names})
-        return replaced(base, {name: value for name, value in values.items() if name not in node_names})
+        return configured({name: value for name, value in values.items() if name not in node_names}, profile_name)
     except ConfigError as error:
         raise ConfigError(f'{path}: {error}') from None
 

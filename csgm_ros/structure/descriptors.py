@@ -7,12 +7,39 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from csgm_ros.config import Config
 from csgm_ros.errors import InputError
 from csgm_ros.structure.esf import WIDTH, fill
 from csgm_ros.structure.fpfh import fpfh
+from csgm_ros.types import PreparedCloud, Supervoxels
 
-# Groups that a thread takes at a time.
-CHUNK = 4
+CHUNK = 4  # groups that a thread takes at a time
+ESF_UNIT, FPFH_UNIT = 0.1, 50.0  # bring both to one scale; FPFH tells nodes apart better and gets twice the weight
+
+
+def of_supervoxels(
+    supervoxels: Supervoxels, surface: PreparedCloud, config: Config, rng: np.random.Generator, relative: float
+) -> np.ndarray:
+    """Return the ESF of each bare supervoxel, (n, 640): the paper's descriptor (kind ``esf``)."""
+    starts, members = members_of(supervoxels.voxel_labels, len(supervoxels))
+    samples = config.descriptors.esf_samples
+    return esf_of_groups(supervoxels.voxel_points, starts, members, rng, samples, config.threads)
+
+
+def of_surroundings(
+    supervoxels: Supervoxels, surface: PreparedCloud, config: Config, rng: np.random.Generator, relative: float
+) -> np.ndarray:
+    """Return ESF and FPFH of each supervoxel's surroundings, (n, 673) (kind ``context``).
+
+    The ESF of the bare supervoxel is at chance: the cut differs between two clouds, and so does what one supervoxel
+    holds. Its surroundings stay.
+    """
+    part = config.descriptors
+    radius = part.context_radius * config.supervoxels.seed_size * relative
+    shapes, features = context(
+        surface.points, surface.normals, supervoxels.centroids, radius, rng, part.esf_samples, config.threads
+    )
+    return np.column_stack([shapes / ESF_UNIT, features / FPFH_UNIT])
 
 
 def esf(points: np.ndarray, rng: np.random.Generator, samples: int = 20000) -> np.ndarray:

@@ -1,6 +1,8 @@
-"""Local features of the micro structure: FPFH on coarse voxels, and the partners that they suggest."""
+"""Local features of the micro structure: keypoints on coarse voxels and their FPFH."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -10,6 +12,28 @@ from csgm_ros.types import PreparedCloud
 
 SPACING = 0.2  # of the keypoints, in feature radii: finer ones cost more and match no better
 MAX_NEIGHBORS = 150
+
+
+@dataclass(frozen=True, eq=False)
+class Keypoints:
+    """Places of a cloud that can be recognised.
+
+    Attributes
+    ----------
+    points, normals : (k, 3) ndarray
+    features : (k, 33) ndarray
+        FPFH.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    features: np.ndarray
+
+
+def describe_keypoints(surface: PreparedCloud, radius: float) -> Keypoints:
+    """Return keypoints of a surface with the features of their surroundings of a radius."""
+    chosen = keypoints(surface, radius)
+    return Keypoints(chosen.points, chosen.normals, fpfh(chosen, radius))
 
 
 def keypoints(surface: PreparedCloud, radius: float) -> PreparedCloud:
@@ -31,16 +55,3 @@ def fpfh(cloud: PreparedCloud, radius: float) -> np.ndarray:
     handle.normals = open3d.utility.Vector3dVector(cloud.normals * np.where(outward == 0.0, 1.0, outward))
     search = open3d.geometry.KDTreeSearchParamHybrid(radius, MAX_NEIGHBORS)
     return np.asarray(open3d.pipelines.registration.compute_fpfh_feature(handle, search).data).T.copy()
-
-
-def nearest_both_ways(source: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
-    """Return the pairs in which one feature is among the ``count`` nearest of the other, (k, 2) index pairs."""
-    forth = _nearest(source, target, count)
-    back = _nearest(target, source, count)
-    return np.unique(np.concatenate([forth, back[:, ::-1]]), axis=0)
-
-
-def _nearest(features: np.ndarray, others: np.ndarray, count: int) -> np.ndarray:
-    count = min(count, len(others))
-    _, nearest = cKDTree(others).query(features, k=count)
-    return np.column_stack([np.repeat(np.arange(len(features)), count), np.reshape(nearest, -1)])

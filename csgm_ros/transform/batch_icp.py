@@ -10,7 +10,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from csgm_ros.cloud.nearest_grid import NearestGrid, lookup
+from csgm_ros.cloud.nearest_grid import lookup
+from csgm_ros.types import NearestGrid
 
 POINT_WEIGHT = 0.05  # of point-to-point beside point-to-plane
 MIN_CORRESPONDENCES = 10

@@ -1,4 +1,4 @@
-"""Candidate transforms from candidate correspondences (Sec. III-E, extended).
+"""Hypotheses from minimal samples of putative correspondences (Sec. III-E, extended).
 
 The paper lets RANSAC draw triples of matched nodes and trusts the one best transform. Matches are right in one
 case of ten at worst, so here triples are drawn by the hundred thousand, and those that keep the macro structure
@@ -7,44 +7,26 @@ case of ten at worst, so here triples are drawn by the hundred thousand, and tho
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numba
 import numpy as np
 
+from csgm_ros.cloud.normals import cosine
 from csgm_ros.config import HypothesesConfig
-from csgm_ros.transform.similarity import cosine
-
-
-class Correspondences(NamedTuple):
-    """Candidate matches; a point may occur in many.
-
-    Attributes
-    ----------
-    source, target : (k, 3) ndarray
-        Positions.
-    source_normals, target_normals : (k, 3) ndarray
-        Unit normals of arbitrary sign.
-    """
-
-    source: np.ndarray
-    target: np.ndarray
-    source_normals: np.ndarray
-    target_normals: np.ndarray
+from csgm_ros.transform.correspondences import Correspondences
 
 
 def from_triples(
-    matches: Correspondences,
+    correspondences: Correspondences,
     rng: np.random.Generator,
     config: HypothesesConfig,
     scales: tuple[float, float],
 ) -> np.ndarray:
-    """Draw triples of matches and return the transforms of those that keep the structure.
+    """Draw triples of correspondences, the minimal samples, and return the transforms of those that keep the structure.
 
     Parameters
     ----------
-    matches : Correspondences
-        Candidates, most of them wrong.
+    correspondences : Correspondences
+        Putative, most of them wrong.
     rng : numpy.random.Generator
         Draws the triples.
     config : HypothesesConfig
@@ -57,14 +39,14 @@ def from_triples(
     (H, 4, 4) ndarray
         At most ``config.limit`` similarity matrices, in the order drawn.
     """
-    if len(matches.source) < 3:
+    if len(correspondences.source) < 3:
         return np.empty((0, 4, 4))
     low, high = np.log(scales)
     fixed = low == high
     slack = np.log1p(config.side_tolerance) if fixed else 0.0
     out = np.empty((config.limit, 4, 4))
     count = _draw(
-        *(np.ascontiguousarray(part, float) for part in matches),
+        *(np.ascontiguousarray(part, float) for part in correspondences),
         np.uint64(rng.integers(1, 2**63 - 1)),
         config.trials,
         low - slack,

@@ -5,20 +5,25 @@ from __future__ import annotations
 import numpy as np
 
 from csgm_ros.cloud import nearest_grid
+from csgm_ros.cloud.normals import cosine
 from csgm_ros.config import Config
 from csgm_ros.progress import Clock
 from csgm_ros.transform import batch_icp, scoring
-from csgm_ros.transform.similarity import cosine
-from csgm_ros.types import PreparedCloud
+from csgm_ros.types import NearestGrid, PreparedCloud
 
 BATCH = 10  # hypotheses between two looks at the clock
 CELL, REACH = 0.025, 0.12  # of the look-up table, in radii: REACH is the widest gate
 
 
+def search_grid(surface: PreparedCloud) -> NearestGrid:
+    """Tabulate the nearest points of a surface of radius about 1, as far as the search looks."""
+    return nearest_grid.build(surface.points, surface.normals, CELL, REACH)
+
+
 def search(
     hypotheses: np.ndarray,
-    source: PreparedCloud,
-    target: PreparedCloud,
+    source: NearestGrid,
+    target: NearestGrid,
     config: Config,
     rng: np.random.Generator,
     clock: Clock,
@@ -29,8 +34,8 @@ def search(
     ----------
     hypotheses : (H, 4, 4) ndarray
         Candidate transforms between the two surfaces.
-    source, target : PreparedCloud
-        Surfaces of radius about 1.
+    source, target : NearestGrid
+        See :func:`search_grid`.
     clock : Clock
         When its time is up, what has been refined so far is returned.
 
@@ -40,22 +45,25 @@ def search(
         At most ``config.verification.finalists``.
     """
     part = config.verification
-    if len(hypotheses) == 0:
-        return hypotheses
     min_cosine = cosine(part.max_normal_angle)
-    grids = [nearest_grid.build(cloud.points, cloud.normals, CELL, REACH) for cloud in (source, target)]
-    orders = [rng.permutation(len(cloud.points)) for cloud in (source, target)]
+    grids = source, target
+    orders = [rng.permutation(len(grid.points)) for grid in grids]
     few = tuple(order[: part.coarse_samples] for order in orders)
     many = tuple(order[: part.samples] for order in orders)
     probe = source.points[few[0]]
-    ranking = scoring.scores(hypotheses, *grids, few, part.coarse_distance, min_cosine)
+    ranking = scoring.scores(hypotheses, *grids, few, part.coarse_truncation, min_cosine)
     kept = hypotheses[scoring.best_distinct(hypotheses, ranking, probe, part.distinct, part.refined)]
     refined = []
     for first in range(0, len(kept), BATCH):
         batch, scaled = kept[first : first + BATCH], config.scale.estimate_scale
-        refined.append(batch_icp.refine_all(batch, *grids, many, part.gates, min_cosine, estimate_scale=scaled))
-        if not clock.tick():
+        refined.append(
+            batch_icp.refine_all(
+                batch, *grids, many, part.max_correspondence_distances, min_cosine, estimate_scale=scaled
+            )
+        )
+        clock.report()
+        if clock.expired:
             break
     found = np.concatenate(refined)
-    ranking = scoring.scores(found, *grids, many, part.score_distance, min_cosine)
+    ranking = scoring.scores(found, *grids, many, part.fine_truncation, min_cosine)
     return found[scoring.best_distinct(found, ranking, probe, part.distinct, part.finalists)]

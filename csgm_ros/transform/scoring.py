@@ -10,7 +10,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from csgm_ros.cloud.nearest_grid import NearestGrid, lookup
+from csgm_ros.cloud.nearest_grid import lookup
+from csgm_ros.types import NearestGrid
 
 
 def scores(

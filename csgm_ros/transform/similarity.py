@@ -1,4 +1,4 @@
-"""Geometry of similarity transforms, ``x_target = s R x_source + t``: the least-squares fit and two errors."""
+"""Geometry of similarity transforms, ``x_target = s R x_source + t``: the least-squares fit and the rotation error."""
 
 from __future__ import annotations
 
@@ -64,13 +64,3 @@ def rotation_angle(rotation: np.ndarray) -> float:
     """Return the angle of a (3, 3) rotation in radians, accurate near zero and pi."""
     sine = np.linalg.norm(rotation - rotation.T) / np.sqrt(8.0)
     return float(np.arctan2(sine, (np.trace(rotation) - 1.0) / 2.0))
-
-
-def cosine(degrees: float) -> float:
-    """Return the cosine of an angle in degrees."""
-    return float(np.cos(np.radians(degrees)))
-
-
-def displacement(first: Similarity, second: Similarity, points: np.ndarray) -> float:
-    """Return the RMS distance between (N, 3) source points under two transforms, target units."""
-    return float(np.sqrt(((first.apply(points) - second.apply(points)) ** 2).sum(1).mean()))

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scenes import room
 
-from csgm_ros.cloud.outliers import dense_part, smoothed, thickness, without_clutter, without_far_strays
+from csgm_ros.cloud.outliers import without_far, without_isolated, without_uniform_outliers
+from csgm_ros.cloud.smoothing import smoothed
+from csgm_ros.cloud.surface_variation import surface_variation
 from csgm_ros.scale import radius
 from csgm_ros.types import Similarity
 
@@ -18,21 +20,21 @@ def noisy_sheet(noise, seed=0):
 def test_strays_do_not_set_the_radius():
     cloud = room(3, 500)
     strays = np.array([[30.0, 0.0, 0.0], [0.0, -80.0, 5.0]])
-    assert radius(dense_part(np.vstack([cloud, strays]), 2.5)) == pytest.approx(radius(cloud), rel=0.05)
-    assert dense_part(cloud, 0.0) is cloud
+    assert radius(without_isolated(np.vstack([cloud, strays]), 2.5)) == pytest.approx(radius(cloud), rel=0.05)
+    assert without_isolated(cloud, 0.0) is cloud
 
 
 def test_far_strays_are_left_out_and_nothing_else():
     cloud = room(3, 500)
     unit = Similarity(1.0 / radius(cloud), np.eye(3), -cloud.mean(0) / radius(cloud))
-    kept = without_far_strays(np.vstack([cloud, [[30.0, 0.0, 0.0]]]), unit)
+    kept = without_far(np.vstack([cloud, [[30.0, 0.0, 0.0]]]), unit)
     np.testing.assert_array_equal(kept, cloud)
 
 
 def test_thickness_tells_a_surface_from_a_volume():
     volume = np.random.default_rng(1).uniform(-1.0, 1.0, (4000, 3))
-    assert thickness(noisy_sheet(0.0)) < 0.05
-    assert thickness(noisy_sheet(0.0)) < thickness(noisy_sheet(0.02)) < thickness(volume)
+    assert surface_variation(noisy_sheet(0.0)) < 0.05
+    assert surface_variation(noisy_sheet(0.0)) < surface_variation(noisy_sheet(0.02)) < surface_variation(volume)
 
 
 def test_smoothing_brings_noise_back_to_the_surface():
@@ -63,25 +65,25 @@ def cluttered(cloud, share, seed=0):
 @pytest.mark.parametrize('share', [0.1, 0.3, 0.6])
 def test_clutter_is_left_out_and_the_surface_kept(share):
     cloud, own = cluttered(room(3, 1000), share)
-    kept = np.isin(cloud[:, 0], without_clutter(cloud)[:, 0])
+    kept = np.isin(cloud[:, 0], without_uniform_outliers(cloud)[:, 0])
     assert kept[own].mean() > 0.95
     assert kept[~own].mean() < 0.2
 
 
 @pytest.mark.parametrize('seed', [0, 1])
-def test_a_cloud_without_clutter_keeps_every_point(seed):
+def test_a_cloud_without_uniform_outliers_keeps_every_point(seed):
     for cloud in (room(seed, 1000), noisy_sheet(0.05, seed), np.random.default_rng(seed).uniform(size=(4000, 3))):
-        np.testing.assert_array_equal(without_clutter(cloud), cloud)
+        np.testing.assert_array_equal(without_uniform_outliers(cloud), cloud)
 
 
 @pytest.mark.parametrize('noise', [0.0, 0.06])
 def test_a_sparser_surface_is_no_clutter(noise):
     sparse = room(4, 30) + np.array([6.0, 0.0, 0.0])
     both = np.vstack([room(3, 1000), sparse + noise * np.random.default_rng(6).normal(size=sparse.shape)])
-    np.testing.assert_array_equal(without_clutter(both), both)
+    np.testing.assert_array_equal(without_uniform_outliers(both), both)
 
 
 def test_a_few_points_in_one_place_do_not_make_the_rest_clutter():
     rng = np.random.default_rng(5)
     cloud = np.vstack([rng.uniform(-1.0, 1.0, (6000, 3)), 0.05 * rng.normal(size=(600, 3))])
-    np.testing.assert_array_equal(without_clutter(cloud), cloud)
+    np.testing.assert_array_equal(without_uniform_outliers(cloud), cloud)

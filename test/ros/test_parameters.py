@@ -72,8 +72,8 @@ def test_live_change_is_used(declared):
     node, parameters = declared()
     assert node.set_parameters([Parameter('icp.iterations', value=7)])[0].successful
     assert parameters.config.icp.iterations == 7
-    assert node.set_parameters([Parameter('icp.gates', value=[0.3, 0.1])])[0].successful
-    assert parameters.config.icp.gates == (0.3, 0.1)
+    assert node.set_parameters([Parameter('icp.max_correspondence_distances', value=[0.3, 0.1])])[0].successful
+    assert parameters.config.icp.max_correspondence_distances == (0.3, 0.1)
     assert node.set_parameters([Parameter('seed', value=4)])[0].successful
     assert parameters.node_config.seed == 4
 
@@ -82,8 +82,8 @@ def test_live_change_is_used(declared):
     ('name', 'value', 'complaint'),
     [
         ('profile', 'paper', 'read-only'),
-        ('icp.gates', [], 'non-empty'),
-        ('icp.gates', [0.1, 7.0], 'must lie in'),
+        ('icp.max_correspondence_distances', [], 'non-empty'),
+        ('icp.max_correspondence_distances', [0.1, 7.0], 'must lie in'),
         ('icp.iterations', 'many', 'type'),
         ('trigger', 'sometimes', 'one of'),
         ('scale.scale_max', float('nan'), ''),

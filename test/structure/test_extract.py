@@ -5,11 +5,12 @@ import pytest
 from scenes import ball, room
 
 from csgm_ros import registration
+from csgm_ros.attempts import Attempt
 from csgm_ros.config import profile, replaced
-from csgm_ros.progress import Clock
+from csgm_ros.graph.build import build
 from csgm_ros.scale import normalizations
 from csgm_ros.structure.extract import cut, describe
-from csgm_ros.transform.correspondences import match, of_features, of_nodes
+from csgm_ros.types import NormalizedPair
 
 
 def extract(cloud, unit, config, rng):
@@ -27,7 +28,7 @@ def structures():
 
 def test_nodes_are_finite_and_edges_lie_between_them(structures):
     for structure in structures:
-        graph = structure.graph
+        graph = build(structure, profile().graph)
         assert np.isfinite(graph.nodes).all()
         assert np.allclose(np.linalg.norm(graph.normals, axis=1), 1.0)
         assert len(graph.node_descriptors) == len(graph.nodes)
@@ -38,7 +39,7 @@ def test_nodes_are_finite_and_edges_lie_between_them(structures):
 def test_the_paper_describes_a_node_by_the_esf_of_its_supervoxel():
     cloud, config = room(1, 600), profile('paper')
     unit = normalizations(cloud, cloud, config.scale)[0]
-    graph = extract(cloud, unit, config, np.random.default_rng(0)).graph
+    graph = build(extract(cloud, unit, config, np.random.default_rng(0)), config.graph)
     assert graph.node_descriptors.shape[1] == 640
     one_way = {tuple(edge) for edge in graph.edges}
     assert not one_way & {(end, start) for start, end in one_way}
@@ -49,18 +50,6 @@ def test_no_cloud_has_more_nodes_than_matching_can_take():
     rng = np.random.default_rng(5)
     cloud = ball(rng, (0.0, 0.0, 0.0), 1.0, 1500.0)
     units = normalizations(cloud, cloud, config.scale)
-    attempt = registration.Attempt()
-    sides = registration._structures((cloud, cloud), units, attempt, config, np.random.default_rng(0))
-    assert all(20 <= len(side.graph.nodes) <= 60 for side in sides)
-
-
-def test_partners_hold_every_match_and_enough_right_pairs(structures):
-    config = profile()
-    found = match(*structures, config, Clock())
-    assert len(found.pairs) == min(len(side.graph.nodes) for side in structures)
-    for candidates in (
-        of_nodes(*structures, found, config.hypotheses.partners),
-        of_features(*structures, config.hypotheses),
-    ):
-        distance = np.linalg.norm(candidates.source - candidates.target, axis=1)
-        assert (distance < 0.1).mean() > 0.05  # the two rooms lie in one frame: chance gives below 2 %
+    pair = NormalizedPair((cloud, cloud), units)
+    sides = registration._structures(pair, Attempt(), config, np.random.default_rng(0))
+    assert all(20 <= len(side.nodes) <= 60 for side in sides)

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from scenes import error, random_similarity
 
 from csgm_ros.config import HypothesesConfig
-from csgm_ros.transform.hypotheses import Correspondences, from_triples
+from csgm_ros.transform.correspondences import Correspondences
+from csgm_ros.transform.hypotheses import from_triples
 from csgm_ros.types import Similarity
 
 SEEDS = st.integers(0, 2**32 - 1)

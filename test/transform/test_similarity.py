@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import random_rotation, random_similarity
 
-from csgm_ros.transform.similarity import displacement, rotation_angle, umeyama
+from csgm_ros.transform.similarity import rotation_angle, umeyama
 from csgm_ros.types import Similarity
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -141,8 +141,8 @@ def test_rotation_angle_keeps_its_accuracy_at_zero_and_pi():
 def test_displacement_is_a_distance_in_target_units(seed):
     rng, a, points = drawn(seed)
     b = random_similarity(rng, offset=3.0)
-    assert displacement(a, a, points) == 0.0
-    assert displacement(a, b, points) == pytest.approx(displacement(b, a, points))
+    assert a.displacement(a, points) == 0.0
+    assert a.displacement(b, points) == pytest.approx(b.displacement(a, points))
     moved = Similarity(a.scale, a.rotation, a.translation + np.array([3.0, 0.0, 4.0]))
-    assert displacement(a, moved, points) == pytest.approx(5.0)
+    assert a.displacement(moved, points) == pytest.approx(5.0)
     assert np.linalg.det(random_rotation(rng)) == pytest.approx(1.0)

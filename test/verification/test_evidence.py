@@ -7,10 +7,11 @@ from scenes import ball, rectangle, room
 from csgm_ros.config import profile, replaced
 from csgm_ros.scale import normalizations
 from csgm_ros.types import Similarity
-from csgm_ros.verification.fitness import MIN_NORMAL_ANGLE, fit, normal_angle, surface
+from csgm_ros.verification.evidence import measure
+from csgm_ros.verification.surfaces import MIN_NORMAL_ANGLE, normal_angle, surface
 
 CONFIG = profile()
-GATE = CONFIG.verification.inlier_distance
+NEAR = CONFIG.verification.inlier_distance
 STAY = Similarity.identity()
 
 
@@ -18,10 +19,6 @@ def surfaces(*clouds):
     """The clouds, all in the frame of the first."""
     unit = normalizations(clouds[0], clouds[0], CONFIG.scale)[0]
     return [surface(cloud, unit, CONFIG, np.random.default_rng(0)) for cloud in clouds]
-
-
-def smaller(measured):
-    return min(measured.fitness_source, measured.fitness_target)
 
 
 def tilted(cloud, degrees):
@@ -39,24 +36,24 @@ def sheet():
 def test_a_thinned_cloud_lies_on_the_whole(thinning):
     dense, sparse = surfaces(room(1, 4000), room(2, 4000)[::thinning])
     angle = normal_angle(dense, sparse, CONFIG)
-    right = fit(STAY, dense, sparse, GATE, angle)
-    assert smaller(right) > 0.8
+    right = measure(STAY, dense, sparse, NEAR, angle)
+    assert right.fitness > 0.8
     aside = Similarity(1.0, np.eye(3), np.array([0.04, 0.04, 0.04]))
-    assert fit(aside, dense, sparse, GATE, angle).closeness < 0.3 * right.closeness
+    assert measure(aside, dense, sparse, NEAR, angle).score < 0.3 * right.score
 
 
 def test_only_where_points_are_sparse_the_surface_is_taken_to_go_on_aside_of_them():
     dense, sparse = surfaces(room(1, 4000), room(2, 100))
     assert dense.gap == 0.0
-    assert sparse.gap > GATE
+    assert sparse.gap > NEAR
 
 
 def test_surfaces_that_cross_do_not_fit_though_points_are_near(sheet):
     flat, crossing = surfaces(sheet, tilted(sheet, 20.0))
     assert normal_angle(flat, crossing, CONFIG) == MIN_NORMAL_ANGLE
-    near = fit(STAY, flat, crossing, GATE, 40.0)
-    assert smaller(near) > 0.05
-    assert smaller(fit(STAY, flat, crossing, GATE, MIN_NORMAL_ANGLE)) < 0.2 * smaller(near)
+    near = measure(STAY, flat, crossing, NEAR, 40.0)
+    assert near.fitness > 0.05
+    assert measure(STAY, flat, crossing, NEAR, MIN_NORMAL_ANGLE).fitness < 0.2 * near.fitness
 
 
 def test_normals_may_differ_by_little_more_than_in_the_noisier_cloud():
@@ -81,5 +78,5 @@ def test_the_tolerance_is_a_parameter(sheet):
 @pytest.mark.parametrize('count', [1, 2, 4, 30])
 def test_a_handful_of_points_is_measured_too(count):
     many, few = surfaces(room(1, 500), room(1, 500)[:count])
-    assert np.isfinite(fit(STAY, few, few, GATE, 40.0).closeness)
+    assert np.isfinite(measure(STAY, few, few, NEAR, 40.0).score)
     assert np.isfinite([few.gap, few.bend, many.gap, many.bend]).all()

@@ -1,0 +1,70 @@
+"""What is tried, in which order, and what an attempt has to reach: the retry schedule as data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from csgm_ros.cloud.surface_variation import even, surface_variation
+from csgm_ros.config import Config
+from csgm_ros.types import NormalizedPair, RegistrationResult
+
+MAX_SMOOTHING = 0.05  # of a cloud's points: averaged over more, little of its shape is left
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """How the clouds are looked at.
+
+    Attributes
+    ----------
+    smoothing : int
+        Neighbours that noise is averaged over; 0 takes the clouds as they are.
+    relative : float
+        Lengths in the source relative to those in the target.
+    certain_margin : float
+        Margin from which an accepted result ends the schedule.
+    """
+
+    smoothing: int = 0
+    relative: float = 1.0
+    certain_margin: float = 1.0
+
+
+def schedule(pair: NormalizedPair, config: Config) -> Iterator[Attempt]:
+    """Yield the clouds as they are; while nothing is certain, smoothed if noisy, then at other relative lengths.
+
+    A later attempt costs as much as the first, so it is only asked for, and the noise only measured, when needed.
+    """
+    certain = config.verification.certain_margin
+    yield Attempt(certain_margin=certain)
+    if config.hypotheses.method == 'ransac':
+        return
+    if _surface_variation(pair) > config.preprocess.max_surface_variation:
+        most = MAX_SMOOTHING * min(map(len, pair.clouds))
+        yield from (Attempt(smoothing=count) for count in config.preprocess.smoothing if count <= most)
+    if config.scale.estimate_scale:
+        relatives = config.hypotheses.relative_scales
+        yield from (Attempt(relative=relative, certain_margin=certain) for relative in relatives)
+
+
+def _surface_variation(pair: NormalizedPair) -> float:
+    sides = zip(pair.clouds, pair.normalizations, strict=True)
+    return max(surface_variation(even(cloud, 1.0 / unit.scale)) for cloud, unit in sides)
+
+
+def unanimous(results: list[RegistrationResult], different: float) -> RegistrationResult:
+    """Return the best result; rejected, where another attempt accepted a different transform.
+
+    Parameters
+    ----------
+    different : float
+        RMS displacement, target units, from which two transforms contradict each other.
+    """
+    best = max(results, key=lambda result: (result.accepted, result.verdict.margin))
+    nodes = best.source_graph.nodes
+    for other in results:
+        if other.accepted and best.transform.displacement(other.transform, nodes) > different:
+            reason = 'ambiguous: the clouds as they are and the smoothed ones fit in different places'
+            return replace(best, verdict=replace(best.verdict, accepted=False, reason=reason))
+    return best
