@@ -31,6 +31,9 @@ INTERFACE_BUILD = [
     'ros-jazzy-python-cmake-module==0.11.1',
 ]
 
+# What reads .las .laz and meshes; every other format needs no library beyond the package's own.
+FORMATS = ['laspy>=2.5', 'lazrs>=0.6', 'trimesh>=4']
+
 setup(
     name=NAME,
     version='0.1.0',
@@ -63,7 +66,8 @@ setup(
     ],
     extras_require={
         'ros': ROS,
-        'test': ['pytest', 'pytest-timeout', 'hypothesis'],
+        'formats': FORMATS,
+        'test': ['pytest', 'pytest-timeout', 'hypothesis', *FORMATS],
         'peers': ['kiss-matcher', 'small-gicp', 'pycpd', 'jrmpc'],
         'dev': ['ruff', 'colcon-common-extensions', 'setuptools<80', *INTERFACE_BUILD],
     },

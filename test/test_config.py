@@ -64,6 +64,10 @@ def test_any_value_survives_the_file(data):
         'icp.iterations: 7',
         '/**: {ros__parameters: {icp: {iterations: 7}}}',
         '/csgm: {ros__parameters: {icp.iterations: 7, autostart: true}}',
+        '/**: {ros__parameters: {icp: {iterations: 9}}}\ncsgm: {ros__parameters: {icp.iterations: 7}}',
+        'csgm: {ros__parameters: {icp.iterations: 7}}\n/**: {ros__parameters: {icp: {iterations: 9}}}',
+        'robot: {csgm: {ros__parameters: {icp.iterations: 7}}, other: {ros__parameters: {no: 1}}}',
+        '/*: {ros__parameters: {icp.iterations: 7, use_sim_time: true, qos_overrides: {/source: {x: 1}}}}',
     ],
 )
 def test_nested_dotted_and_ros_forms_mean_the_same(tmp_path, text):
@@ -118,7 +122,19 @@ def test_an_empty_file_and_no_file_are_the_profile(tmp_path):
         ('profile: best', 'profile must be one of'),
         ('[1, 2]', 'holds no parameters'),
         ('a: [', 'not valid YAML'),
-        ('/a: {ros__parameters: {}}\n/b: {ros__parameters: {}}', 'several nodes'),
+        ('/a: {ros__parameters: {}}\n/b: {ros__parameters: {}}', 'nothing for csgm, only for /a, /b'),
+        ('/a/csgm: {ros__parameters: {}}\n/b/csgm: {ros__parameters: {}}', '/a/csgm and /b/csgm'),
+        ('a: &a [1, 1]\nb: &b [*a, *a]\nc: [*b, *b]', 'aliases'),
+        ('icp: {iterations: "7"}', "iterations must be int, not '7'"),
+        ('time_budget: "1e3"', 'time_budget must be float'),
+        ('icp: {iterations: 1_0}', 'iterations must be int'),
+        ('icp: {iterations: 2001-01-01}', 'iterations must be int'),
+        ('icp: {iterations: {}}', 'iterations'),
+        ('? [1, 2]\n: 3', 'not valid YAML'),
+        ('[' * 10000, 'not valid YAML'),
+        ('icp: {iterations: !!python/name:os.system ""}', 'not valid YAML'),
+        ('csgm: {ros__parameters: 5}', 'holds no parameters'),
+        ('#' * 2000000, 'larger than'),
     ],
 )
 def test_wrong_files_are_refused_by_name(tmp_path, text, names):

@@ -53,7 +53,8 @@ def _parser() -> argparse.ArgumentParser:
         prog='csgm', description='Registers clouds of different sensors.', epilog=EPILOG, formatter_class=shape
     )
     commands = parser.add_subparsers(metavar='COMMAND', required=True, parser_class=_Parser)
-    for add in (_add_register, _add_demo, _add_inspect, _add_config, _add_simulate, _add_record_demo):
+    adders = (_add_register, _add_apply, _add_export, _add_demo, _add_inspect, _add_config)
+    for add in (*adders, _add_simulate, _add_record_demo):
         add(commands)
     for name, (_, text) in ROS_COMMANDS.items():
         commands.add_parser(name, help=text, add_help=False)
@@ -62,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_register(commands) -> None:
     parser = commands.add_parser('register', help='register two files, or two topics of a bag')
-    parser.add_argument('source', nargs='?', help='cloud to move, such as SfM (.ply .pcd .xyz .npy .npz)')
+    parser.add_argument('source', nargs='?', help='cloud to move, such as SfM; the README lists the formats')
     parser.add_argument('target', nargs='?', help='cloud that stays, such as Kinect')
     parser.add_argument('--profile', choices=('robust', 'paper'), help='default: robust')
     parser.add_argument('--config', metavar='F', help='YAML file of parameters; see `csgm config`')
@@ -74,6 +75,24 @@ def _add_register(commands) -> None:
     parser.add_argument('--source-topic', metavar='T', default='/source', help='default: /source')
     parser.add_argument('--target-topic', metavar='T', default='/target', help='default: /target')
     parser.set_defaults(run=_register)
+
+
+def _add_apply(commands) -> None:
+    parser = commands.add_parser('apply', help='move a further cloud by the transform of a result')
+    parser.add_argument('result', help='what register --json wrote')
+    parser.add_argument('cloud', help='in the frame of the source')
+    parser.add_argument('-o', '--output', metavar='F', required=True, help='the cloud in the frame of the target')
+    parser.add_argument('--rejected', action='store_true', help='also where the result was rejected')
+    parser.set_defaults(run=_apply)
+
+
+def _add_export(commands) -> None:
+    parser = commands.add_parser('export-transform', help='the transform of a result for other tools')
+    parser.add_argument('result', help='what register --json wrote')
+    parser.add_argument('--format', choices=('colmap', 'cloudcompare', 'ros', 'matlab'), required=True)
+    parser.add_argument('-o', '--output', metavar='F', help='default: printed')
+    parser.add_argument('--rejected', action='store_true', help='also where the result was rejected')
+    parser.set_defaults(run=_export)
 
 
 def _add_demo(commands) -> None:
@@ -137,10 +156,51 @@ def _register(options) -> int:
     if options.json:
         report.write_json(options.json, result)
     if options.output and result.accepted:
-        files.write_cloud(options.output, *report.fused(source, target, result.transform))
+        files.write(options.output, report.fused(source, target, result.transform))
     elif options.output:
         print(f'csgm: {options.output} is not written, as the result is rejected', file=sys.stderr)
     return ACCEPTED if result.accepted else REJECTED
+
+
+def _apply(options) -> int:
+    from csgm_ros.io import files
+    from csgm_ros.io.results import moved
+
+    files.check_writable(options.output)
+    transform = _usable_transform(options)
+    if transform is None:
+        return REJECTED
+    files.write(options.output, moved(files.read_cloud(options.cloud), transform))
+    return ACCEPTED
+
+
+def _export(options) -> int:
+    from csgm_ros.io.atomic import write_text
+    from csgm_ros.io.transforms import export
+
+    transform = _usable_transform(options)
+    if transform is None:
+        return REJECTED
+    text = export(transform, options.format)
+    if options.output:
+        write_text(options.output, text)
+    else:
+        print(text, end='')
+    return ACCEPTED
+
+
+def _usable_transform(options):
+    """Return the transform of a result, or None, said, where it was rejected and that is not asked for."""
+    from csgm_ros.io.transforms import read_result
+
+    transform, accepted = read_result(options.result)
+    if accepted or options.rejected:
+        return transform
+    print(
+        f'csgm: {options.result} was rejected, so its transform is not used; --rejected uses it all the same',
+        file=sys.stderr,
+    )
+    return None
 
 
 def _clouds(options):

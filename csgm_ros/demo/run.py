@@ -18,6 +18,7 @@ import numpy as np
 from csgm_ros.errors import CsgmError, InputError
 from csgm_ros.io import files, resources
 from csgm_ros.io import results as report
+from csgm_ros.io.transforms import matrix_text
 from csgm_ros.types import Similarity
 
 ACCEPTED, FAILED, REJECTED = 0, 1, 3
@@ -150,7 +151,7 @@ def _conclude(pair: Pair, published, folder: Path, say: _Narrator) -> int:
         )
     before_after(folder / 'before_after.png', pair.source, pair.target, transform, caption)
     print(f'\nT_target_source, x_target = s R x_source + t, {published.child_frame_id} in {published.frame_id}:')
-    print(report.matrix_text(transform.matrix))
+    print(matrix_text(transform.matrix))
     print(caption)
     print(f'written: {folder}/fused.ply, {folder}/before_after.png, {folder}/node.log')
     say('done')

@@ -10,6 +10,7 @@ import numpy as np
 
 from csgm_ros.demo.scene import Hits, Room
 from csgm_ros.errors import InputError
+from csgm_ros.io.atomic import write_text
 from csgm_ros.io.files import write_cloud
 from csgm_ros.types import Cloud, Similarity
 
@@ -86,7 +87,7 @@ def write_pair(folder: str | Path, seed: int = 0) -> None:
     seen = np.isfinite(pair.target).all(axis=2)
     write_cloud(folder / 'kinect.ply', pair.target[seen], pair.target_colors[seen])
     write_cloud(folder / 'sfm.ply', pair.source, pair.source_colors)
-    (folder / 'truth.json').write_text(json.dumps({'T_target_source': pair.truth.matrix.tolist()}, indent=2) + '\n')
+    write_text(folder / 'truth.json', json.dumps({'T_target_source': pair.truth.matrix.tolist()}, indent=2) + '\n')
 
 
 def recording(pair: SimulatedPair, frames: int = 10) -> list[tuple[str, Cloud]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,12 +13,17 @@ import numpy as np
 from csgm_ros.cloud.merge import merge
 from csgm_ros.config import NodeConfig
 from csgm_ros.errors import InputError
+from csgm_ros.io.atomic import replacing_folder
 from csgm_ros.io.pointcloud2 import check_layout, decode, encode
 from csgm_ros.types import Cloud
 
 if TYPE_CHECKING:
     from rosbags.rosbag2 import Reader
 
+METADATA = 'metadata.yaml'
+STORED = ('.mcap', '.db3')
+LAST_STAMP = 2**31 * 10**9  # nanoseconds that ROS's 32 bits of seconds can say
+ROS1 = b'#ROSBAG V'
 CLOUD_TYPE = 'sensor_msgs/msg/PointCloud2'
 
 
@@ -36,7 +41,7 @@ def read_clouds(
     Parameters
     ----------
     bag : str or Path
-        Folder of the bag.
+        See :func:`open_bag`.
     source_topic, target_topic : str
         Topics as recorded.
     source_window, target_window : int
@@ -53,9 +58,7 @@ def read_clouds(
     with open_bag(bag) as reader:
         chosen = [connection for connection in reader.connections if connection.topic in windows]
         require_topics(bag, reader, windows)
-        store = typestore()
-        for connection, _, raw in reader.messages(chosen):
-            message = store.deserialize_cdr(raw, connection.msgtype)
+        for connection, message in reader.decoded(chosen):
             if is_usable(message):
                 windows[connection.topic].append(message)
     empty = [topic for topic, messages in windows.items() if not messages]
@@ -95,11 +98,9 @@ def write_clouds(
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    if Path(bag).exists():
-        raise InputError(f'{bag} exists already; name a folder that does not')
     plugin, store = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}[storage], typestore()
     connections = {}
-    with Writer(Path(bag), version=9, storage_plugin=plugin) as writer:
+    with replacing_folder(bag) as folder, Writer(folder, version=9, storage_plugin=plugin) as writer:
         for topic, cloud in clouds:
             if topic not in connections:
                 offered = [quality(latched=topic in latched)]
@@ -110,27 +111,113 @@ def write_clouds(
             writer.write(connections[topic], cloud.stamp, raw)
 
 
+class Bag:
+    """An open bag whose every fault is one InputError that names it; see :func:`open_bag`."""
+
+    def __init__(self, path: Path, reader: Reader):
+        self._path, self._reader = path, reader
+
+    @property
+    def connections(self) -> list:
+        """What was recorded: topic, type and QoS."""
+        with _faults_of(self._path):
+            return self._reader.connections
+
+    @property
+    def start_time(self) -> int:
+        """Stamp of the first message, nanoseconds."""
+        return self._reader.start_time
+
+    @property
+    def message_count(self) -> int:
+        """Messages of all topics."""
+        return self._reader.message_count
+
+    def messages(self, connections: Collection = ()) -> Iterator[tuple]:
+        """Yield (connection, stamp, bytes) of the chosen connections, of all by default, as they were recorded."""
+        with _faults_of(self._path):
+            found = iter(self._reader.messages(connections))
+        while True:
+            with _faults_of(self._path):
+                message = next(found, None)
+            if message is None:
+                return
+            if not 0 <= message[1] < LAST_STAMP:
+                raise InputError(f'{self._path}: holds the stamp {message[1]}, which is none of ROS; it is damaged')
+            yield message
+
+    def decoded(self, connections: Collection = ()) -> Iterator[tuple]:
+        """Yield (connection, message) of :meth:`messages`."""
+        store = typestore()
+        for connection, _, raw in self.messages(connections):
+            with _faults_of(self._path):
+                message = store.deserialize_cdr(raw, connection.msgtype)
+            yield connection, message
+
+
 @contextmanager
-def open_bag(bag: str | Path) -> Iterator[Reader]:
+def open_bag(bag: str | Path) -> Iterator[Bag]:
     """Open a bag with ``rosbags`` for the length of a ``with``.
+
+    Parameters
+    ----------
+    bag : str or Path
+        Folder with a metadata.yaml, that file, or one .mcap or .db3 file, which is read alone.
 
     Raises
     ------
     InputError
-        When the folder is no readable bag.
+        When it is no bag, or a damaged one.
     """
-    from rosbags.rosbag2 import Reader, ReaderError
+    from rosbags.rosbag2 import Reader
 
-    path = Path(bag)
-    try:
-        reader = Reader(path if path.is_dir() else path.parent)
+    path = _storage(Path(bag))
+    with _faults_of(path):
+        reader = Reader(path)
         reader.open()
-    except (ReaderError, OSError, AssertionError) as error:
-        raise InputError(f'{bag} is not a rosbag2 folder that can be read: {error}') from None
     try:
-        yield reader
+        yield Bag(path, reader)
     finally:
-        reader.close()
+        with suppress(Exception):  # a damaged bag may fail to close, too
+            reader.close()
+
+
+def _storage(path: Path) -> Path:
+    """Return what is to be opened, or say why that cannot be done."""
+    if not path.exists():
+        raise InputError(f'{path}: no such file or folder; name a rosbag2 folder, or an .mcap or .db3 file')
+    if path.is_dir():
+        if (path / METADATA).is_file():
+            return path
+        files = sorted(each for each in path.iterdir() if each.suffix in STORED)
+        if len(files) == 1:
+            return files[0]
+        there = f'{len(files)} files of a bag, but' if files else ''
+        raise InputError(
+            f'{path}: holds {there} no {METADATA}, so it is no rosbag2 folder; try ros2 bag reindex {path}'
+        )
+    if path.name == METADATA:
+        return path.parent
+    with path.open('rb') as file:
+        if file.read(len(ROS1)) == ROS1:
+            raise InputError(f'{path}: is a ROS 1 bag; convert it: rosbags-convert --src {path} --dst FOLDER')
+    if path.suffix not in STORED:
+        raise InputError(f'{path}: is no rosbag2 folder, .mcap or .db3 file; name one')
+    return path
+
+
+@contextmanager
+def _faults_of(path: Path) -> Iterator[None]:
+    """Turn whatever a damaged bag raises into one line that names it."""
+    try:
+        yield
+    except InputError:
+        raise
+    except MemoryError:
+        raise InputError(f'{path}: asks for more memory than there is; the bag is damaged or too large') from None
+    except Exception as error:
+        why = ' '.join(f'{type(error).__name__}: {error}'.split())[:160]
+        raise InputError(f'{path}: is no rosbag2 bag that can be read, or a damaged one ({why})') from None
 
 
 def require_topics(bag: str | Path, reader, topics: Iterable[str]) -> None:

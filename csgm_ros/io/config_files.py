@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import textwrap
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePosixPath
+from typing import Any, ClassVar
 
 import yaml
 
@@ -13,6 +14,11 @@ from csgm_ros.config import Config, NodeConfig, configured, flatten, parameter_f
 from csgm_ros.errors import ConfigError
 
 WIDTH = 116
+MAX_FILE = 1 << 20  # bytes
+NODE = 'csgm'
+ROS_KEY = 'ros__parameters'
+WILDCARDS = ('**', '*')
+ROS_PARAMETERS = ('use_sim_time', 'qos_overrides', 'start_type_description_service')  # every node's own
 HEADER = """\
 Every parameter of csgm_ros, with its default in profile {profile}: made by `csgm config --profile {profile}`.
 The node reads it (--ros-args --params-file), and so does the command line (--config); a file may hold only some.\
@@ -41,8 +47,10 @@ def read_config(path: str | Path | None, profile_name: str | None = None) -> Con
     Parameters
     ----------
     path : str, Path or None
-        A ROS parameter file, or a mapping of names that may be nested (`icp: {iterations: 5}`) or dotted
-        (`icp.iterations: 5`). The node's own parameters are checked and left out. None reads nothing.
+        A ROS parameter file, of which the part of `/**` and that of a node named `csgm` count, the latter more; or a
+        mapping of names that may be nested (`icp: {iterations: 5}`) or dotted (`icp.iterations: 5`). The node's own
+        parameters are checked and left out, and so is what is ROS's (`use_sim_time`, `qos_overrides`). None reads
+        nothing.
     profile_name : str, optional
         Profile below the file's values; else the file's own `profile`, else robust.
 
@@ -76,58 +84,113 @@ def assignment(config: Config, text: str) -> Config:
     name, equals, value = text.partition('=')
     if not equals:
         raise ConfigError(f'--set {text}: needs the form name=value, such as icp.iterations=10')
-    return replaced(config, {name.strip(): _parsed(value, f'--set {text}')})
+    return replaced(config, {name.strip(): parsed(value, f'--set {text}')})
 
 
 def _values(path: str | Path) -> dict[str, Any]:
-    """Return ``{'stage.name': value}`` of a file."""
+    """Return ``{'stage.name': value}`` of what a file says to the node `csgm`, without what is ROS's own."""
     try:
-        text = Path(path).read_text(encoding='utf-8')
-    except (OSError, UnicodeDecodeError):
+        with Path(path).open('rb') as file:
+            data = file.read(MAX_FILE + 1)
+        text = data.decode('utf-8-sig')
+    except (OSError, ValueError):
         raise ConfigError(f'{path}: cannot be read; check the path and its permissions') from None
-    values = _parsed(text, str(path))
+    if len(data) > MAX_FILE:
+        raise ConfigError(f'{path}: is larger than {MAX_FILE} bytes, which no parameter file is')
+    values = parsed(text, str(path))
     if values is None:
         return {}
-    if isinstance(values, dict) and any(
-        isinstance(part, dict) and 'ros__parameters' in part for part in values.values()
-    ):
-        if len(values) != 1:
-            raise ConfigError(f'{path}: holds the parameters of several nodes; keep one of them')
-        values = next(iter(values.values()))['ros__parameters'] or {}
     if not isinstance(values, dict):
         raise ConfigError(f'{path}: holds no parameters; see `csgm config` for the form')
-    return dict(_dotted(values, ''))
+    nodes = _nodes(values)
+    if not nodes:
+        return _known(dict(_dotted(values, '')))
+    ours = [name for name in nodes if PurePosixPath(name).name == NODE]
+    if len(ours) > 1:
+        raise ConfigError(f'{path}: holds the parameters of {" and ".join(ours)}; keep one of them')
+    chosen: dict[str, Any] = {}
+    for name in [*(name for name in nodes if PurePosixPath(name).name in WILDCARDS), *ours]:
+        if not isinstance(nodes[name], dict | None):
+            raise ConfigError(f'{path}: {name} holds no parameters; see `csgm config` for the form')
+        chosen |= dict(_dotted(nodes[name] or {}, ''))
+    if not chosen and not ours and not any(PurePosixPath(name).name in WILDCARDS for name in nodes):
+        raise ConfigError(f'{path}: holds nothing for {NODE}, only for {", ".join(nodes)[:200]}; name it {NODE} or /**')
+    return _known(chosen)
+
+
+def _nodes(values: dict, space: str = '') -> dict[str, Any]:
+    """Return the `ros__parameters` of each node of a file, by its name with namespaces."""
+    found: dict[str, Any] = {}
+    for name, part in values.items():
+        if isinstance(part, dict):
+            whole = f'{space}/{str(name).strip("/")}'
+            if ROS_KEY in part:
+                found[whole] = part[ROS_KEY]
+            found |= _nodes({key: value for key, value in part.items() if key != ROS_KEY}, whole)
+    return found
+
+
+def _known(values: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if name.split('.')[0] not in ROS_PARAMETERS}
 
 
 def _dotted(values: dict, prefix: str):
     for name, value in values.items():
-        if isinstance(value, dict):
+        if isinstance(value, dict) and value:
             yield from _dotted(value, f'{prefix}{name}.')
         else:
             yield f'{prefix}{name}', value
 
 
-def _parsed(text: str, where: str) -> Any:
-    """Parse YAML; numbers such as 1e-3, text to YAML 1.1 without a dot, become numbers."""
+class _Loader(yaml.SafeLoader):
+    """YAML as ROS reads it: numbers such as 1e-3 are numbers, quoted text stays text, aliases are refused."""
+
+    yaml_implicit_resolvers: ClassVar[dict] = {}
+
+    def compose_node(self, parent, index):
+        if self.check_event(yaml.AliasEvent):
+            event = self.get_event()
+            raise yaml.composer.ComposerError(None, None, 'aliases are not read', event.start_mark)
+        return super().compose_node(parent, index)
+
+
+for tag, pattern, first in (
+    ('bool', r'(?:[yY]|yes|Yes|YES|true|True|TRUE|on|On|ON|[nN]|no|No|NO|false|False|FALSE|off|Off|OFF)', 'yYnNtTfFoO'),
+    ('int', r'[-+]?(?:0[xX][0-9a-fA-F]+|0|[1-9][0-9]*)', '-+0123456789'),
+    (
+        'float',
+        r'[-+]?(?:[0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(?=[eE]))(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)',
+        '-+.0123456789',
+    ),
+    ('null', r'(?:~|null|Null|NULL|)', ['~', 'n', 'N', '']),
+):
+    _Loader.add_implicit_resolver(f'tag:yaml.org,2002:{tag}', re.compile(f'(?:{pattern})\\Z'), list(first))
+
+
+def _construct_bool(loader: _Loader, node) -> bool:
+    return loader.construct_scalar(node).lower() in ('y', 'yes', 'true', 'on')
+
+
+_Loader.add_constructor('tag:yaml.org,2002:bool', _construct_bool)
+
+
+def parsed(text: str, where: str) -> Any:
+    """Parse YAML.
+
+    Raises
+    ------
+    ConfigError
+        One line with ``where`` and, where it is known, the line of the text.
+    """
     try:
-        return _numbers(yaml.safe_load(text))
+        return yaml.load(text, _Loader)
     except yaml.YAMLError as error:
         place = getattr(error, 'problem_mark', None)
         line = f' (line {place.line + 1})' if place else ''
-        raise ConfigError(f'{where}: is not valid YAML{line}') from None
-
-
-def _numbers(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _numbers(part) for name, part in value.items()}
-    if isinstance(value, list):
-        return [_numbers(part) for part in value]
-    if isinstance(value, str) and value[:1] in '-+.0123456789' and value:
-        try:
-            return float(value)
-        except ValueError:
-            return value
-    return value
+        why = f': {error.problem}' if 'aliases' in str(getattr(error, 'problem', '')) else ''
+        raise ConfigError(f'{where}: is not valid YAML{line}{why}') from None
+    except (ValueError, TypeError, RecursionError, OverflowError):  # 0x of nothing, keys that are lists, endless depth
+        raise ConfigError(f'{where}: is not valid YAML') from None
 
 
 def _section(config: Any, indent: str) -> list[str]:

@@ -1,44 +1,31 @@
-"""Clouds in files: .ply, .pcd, .xyz, .npy and .npz in, .ply and the others out."""
+"""Clouds in files: one place that reads and writes every format of :mod:`csgm_ros.io.formats`."""
 
 from __future__ import annotations
 
-import warnings
-from dataclasses import dataclass
+from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
 from csgm_ros.errors import InputError
-from csgm_ros.io.headers import check_complete
+from csgm_ros.io.atomic import replacing
+from csgm_ros.io.cloud_file import CloudFile, Table, cloud_of, color_limit, has_byte_colors
+from csgm_ros.io.formats import READ, WRITTEN, format_of
 
-SUFFIXES = ('.ply', '.pcd', '.xyz', '.npy', '.npz')
-NPZ_KEYS = ('points', 'xyz', 'vertices')
+__all__ = ['SUFFIXES', 'CloudFile', 'check_writable', 'chunks', 'read_cloud', 'write', 'write_cloud']
 
-
-@dataclass(frozen=True, eq=False)
-class CloudFile:
-    """A cloud as a file holds it.
-
-    Attributes
-    ----------
-    points : (N, 3) float64 ndarray
-        In the file's unit; may hold NaN, which registration leaves out.
-    colors : (N, 3) float64 ndarray or None
-        Red, green and blue in [0, 1].
-    """
-
-    points: np.ndarray
-    colors: np.ndarray | None = None
+SUFFIXES = WRITTEN
+CHUNK = 1_000_000  # rows
 
 
 def read_cloud(path: str | Path) -> CloudFile:
-    """Read the points of a file, and their colours where it has them.
+    """Read the points of a file, and their colours and normals where it has them.
 
     Parameters
     ----------
     path : str or Path
-        A .ply (its vertices), .pcd, .xyz (first three columns), .npy (N, 3) or .npz file; an .npz holds its points
-        as `points`, `xyz` or `vertices`, or as its only (N, 3) array.
+        A file of one of the formats of :data:`csgm_ros.io.formats.FORMATS`, or the folder of a COLMAP model.
 
     Returns
     -------
@@ -49,52 +36,80 @@ def read_cloud(path: str | Path) -> CloudFile:
     InputError
         For a file that is missing, of another kind, empty, cut or garbage; the message names it and the remedy.
     """
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(f'{path}: unknown kind of file; use one of {" ".join(SUFFIXES)}')
-    if not path.is_file():
-        raise InputError(f'{path}: no such file; check the path')
-    try:
-        if suffix in ('.ply', '.pcd'):
-            cloud = _read_with_open3d(path)
-        elif suffix == '.xyz':
-            cloud = CloudFile(_text_points(path))
-        else:
-            cloud = CloudFile(_numpy_points(path))
-    except InputError:
-        raise
-    except PermissionError:
-        raise InputError(f'{path}: may not be read; check its permissions') from None
-    except Exception as error:
-        raise InputError(f'{path}: cannot be read ({_one_line(error)}); write it again') from None
-    if not np.isfinite(cloud.points).all(axis=1).any():
-        raise InputError(f'{path}: holds no finite point; write it again')
-    return cloud
+    path = _existing(path)
+    with _named(path):
+        cloud = _module(path).read(path)
+        if isinstance(cloud, Table):
+            cloud = cloud_of(cloud.part(0, cloud.rows))
+        if not np.isfinite(cloud.points).all(axis=1).any():
+            raise InputError('holds no finite point; write it again')
+        return cloud
 
 
-def write_cloud(path: str | Path, points: np.ndarray, colors: np.ndarray | None = None) -> None:
-    """Write (N, 3) points, with (N, 3) colours in [0, 1] where the kind of file has them.
+def chunks(path: str | Path, rows: int = CHUNK) -> Iterator[CloudFile]:
+    """Yield the points of a file part by part, without holding all of them where the format allows that.
+
+    Binary .ply and .pcd and .npy files are read on demand; other formats are read whole and cut.
+
+    Parameters
+    ----------
+    path : str or Path
+    rows : int
+        Points of a part at most.
 
     Raises
     ------
     InputError
-        For an unknown ending or a place that cannot be written.
+        As :func:`read_cloud`; before the first part for what the header tells, else at the part concerned.
     """
+    path = _existing(path)
+    with _named(path):
+        found = _module(path).read(path)
+        whole = found.rows if isinstance(found, Table) else len(found.points)
+        bounds = [(first, min(first + rows, whole)) for first in range(0, whole, rows)]
+        limit = _color_limit(found, bounds) if isinstance(found, Table) else None
+    for first, last in bounds:
+        with _named(path):
+            if isinstance(found, Table):
+                part = cloud_of(found.part(first, last), limit)
+            else:
+                cut = [None if each is None else each[first:last] for each in (found.colors, found.normals)]
+                part = CloudFile(found.points[first:last], *cut, found.origin)
+        yield part
+
+
+def write_cloud(
+    path: str | Path,
+    points: np.ndarray,
+    colors: np.ndarray | None = None,
+    *,
+    normals: np.ndarray | None = None,
+    origin: np.ndarray | None = None,
+) -> None:
+    """Write (N, 3) points, with (N, 3) colours in [0, 1] and normals where the kind of file has them.
+
+    The file appears whole or not at all. ``origin`` is the offset that .las and .laz store coordinates from.
+
+    Raises
+    ------
+    InputError
+        For an unknown ending, a place that cannot be written or a full disk.
+    """
+    arrays = [None if part is None else np.asarray(part, float) for part in (points, colors, normals)]
+    write(path, CloudFile(*arrays, origin))
+
+
+def write(path: str | Path, cloud: CloudFile) -> None:
+    """Write a cloud; see :func:`write_cloud`."""
     path = check_writable(path)
-    points = np.asarray(points, float)
-    suffix = path.suffix.lower()
-    try:
-        if suffix in ('.ply', '.pcd'):
-            _write_with_open3d(path, points, colors)
-        elif suffix == '.xyz':
-            np.savetxt(path, points, fmt='%.9g')
-        elif suffix == '.npy':
-            np.save(path, points)
-        else:
-            np.savez_compressed(path, points=points, **({} if colors is None else {'colors': colors}))
-    except OSError as error:
-        raise InputError(f'{path}: cannot be written ({_one_line(error)}); choose another place') from None
+    module = _module(path)
+    with replacing(path) as file:
+        try:
+            module.write(file, cloud, path.suffix.lower())
+        except InputError as error:
+            raise InputError(f'{path}: {error}') from None
+        except (ValueError, OverflowError) as error:
+            raise InputError(f'{path}: cannot be written ({_one_line(error)}); write another format') from None
 
 
 def check_writable(path: str | Path, suffixes: tuple[str, ...] = SUFFIXES) -> Path:
@@ -104,50 +119,69 @@ def check_writable(path: str | Path, suffixes: tuple[str, ...] = SUFFIXES) -> Pa
         raise InputError(f'{path}: cannot be written; its name must end with one of {" ".join(suffixes)}')
     if not path.parent.is_dir():
         raise InputError(f'{path}: the folder {path.parent} does not exist; make it first')
+    if path.is_dir():
+        raise InputError(f'{path}: is a folder; name a file')
     return path
 
 
-def _read_with_open3d(path: Path) -> CloudFile:
-    check_complete(path)
-    import open3d
-
-    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        cloud = open3d.io.read_point_cloud(str(path))
-    if not cloud.has_points():
-        raise InputError(f'{path}: holds no points that can be read; write it again')
-    return CloudFile(np.array(cloud.points), np.array(cloud.colors) if cloud.has_colors() else None)
-
-
-def _write_with_open3d(path: Path, points: np.ndarray, colors: np.ndarray | None) -> None:
-    import open3d
-
-    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
-    if colors is not None:
-        cloud.colors = open3d.utility.Vector3dVector(np.asarray(colors, float))
-    if not open3d.io.write_point_cloud(str(path), cloud):
-        raise OSError('the disk is full, or the folder is not yours')
-
-
-def _text_points(path: Path) -> np.ndarray:
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore')  # of an empty file, which is refused further on
-        return np.loadtxt(path, usecols=(0, 1, 2), ndmin=2)
+def _existing(path: str | Path) -> Path:
+    """Return the path of a file that is there and of a known kind."""
+    path = Path(path)
+    if path.is_dir():
+        model = next((path / name for name in ('points3D.bin', 'points3D.txt') if (path / name).is_file()), None)
+        if model is None:
+            raise InputError(f'{path}: is a folder without points3D.bin or points3D.txt; name a file')
+        return model
+    if format_of(path.name) is None:
+        raise InputError(f'{path}: unknown kind of file; what can be read ends with one of {" ".join(READ)}')
+    try:
+        there = path.is_file() or path.exists()
+    except (OSError, ValueError):
+        there = False
+    if not there:
+        raise InputError(f'{path}: no such file; check the path')
+    if not path.is_file():
+        raise InputError(f'{path}: is no regular file; copy it into one')
+    return path
 
 
-def _numpy_points(path: Path) -> np.ndarray:
-    """Return the (N, 3) array of an .npy or .npz file; an organised (H, W, 3) one is flattened."""
-    loaded = np.load(path, allow_pickle=False)
-    if isinstance(loaded, np.ndarray):
-        arrays = {'array': loaded}
-    else:
-        with loaded:
-            arrays = {name: loaded[name] for name in loaded.files}
-    fitting = {name: a for name, a in arrays.items() if a.ndim in (2, 3) and a.shape[-1] == 3 and a.dtype.kind in 'fiu'}
-    named = [name for name in NPZ_KEYS if name in fitting]
-    if not named and len(fitting) != 1:
-        raise InputError(f'{path}: needs one numeric (N, 3) array, in an .npz named {" or ".join(NPZ_KEYS)}')
-    return fitting[named[0] if named else next(iter(fitting))].reshape(-1, 3).astype(float)
+def _module(path: Path):
+    """Import the module of a file's format."""
+    found = format_of(path.name)
+    try:
+        return import_module(f'csgm_ros.io.formats.{found.module}')
+    except ModuleNotFoundError as error:
+        raise InputError(f'{path}: needs {error.name}; install it by pip install "csgm_ros[{found.needs}]"') from None
+
+
+def _color_limit(table: Table, bounds: list[tuple[int, int]]) -> float | None:
+    """Return the value of full brightness of all parts, which only wider types than bytes ask to be read for."""
+    limits = [color_limit(table.part(*bounds[0]))] if bounds else []
+    if limits and limits[0] is not None and not has_byte_colors(table.part(*bounds[0])):
+        limits += [color_limit(table.part(*each)) for each in bounds[1:]]
+    return max((each for each in limits if each is not None), default=None)
+
+
+class _named:  # noqa: N801 - read as a word in a `with`
+    """Put the path before every error of a reader; what a reader did not foresee is one line too."""
+
+    def __init__(self, path: Path):
+        self._path = path
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, _, error, __) -> None:
+        if isinstance(error, InputError):
+            said = str(error)
+            raise InputError(said if said.startswith(str(self._path)) else f'{self._path}: {said}') from None
+        if isinstance(error, PermissionError):
+            raise InputError(f'{self._path}: may not be read; check its permissions') from None
+        if isinstance(error, MemoryError):
+            raise InputError(f'{self._path}: is larger than the memory that is left; take fewer points') from None
+        if isinstance(error, Exception):
+            raise InputError(f'{self._path}: cannot be read ({_one_line(error)}); write it again') from None
 
 
 def _one_line(error: Exception) -> str:
-    return ' '.join(str(error).split())[:160]
+    return ' '.join(str(error).split())[:160] or type(error).__name__

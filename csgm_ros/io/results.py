@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from csgm_ros.config import flatten
-from csgm_ros.errors import InputError
-from csgm_ros.io.files import CloudFile
+from csgm_ros.io.atomic import write_text
+from csgm_ros.io.cloud_file import CloudFile
+from csgm_ros.io.transforms import matrix_text
 from csgm_ros.types import RegistrationResult, Similarity
 
 TARGET_TINT = (0.12, 0.47, 0.71)
@@ -70,12 +71,9 @@ def write_json(path: str | Path, result: RegistrationResult) -> None:
     Raises
     ------
     InputError
-        Where the file cannot be written.
+        Where the file cannot be written, or the disk is full.
     """
-    try:
-        Path(path).write_text(json.dumps(as_mapping(result), indent=2, allow_nan=False) + '\n', encoding='utf-8')
-    except OSError as error:
-        raise InputError(f'{path}: cannot be written ({error.strerror}); choose another place') from None
+    write_text(path, json.dumps(as_mapping(result), indent=2, allow_nan=False) + '\n')
 
 
 def summary(result: RegistrationResult) -> str:
@@ -89,11 +87,6 @@ def summary(result: RegistrationResult) -> str:
             matrix_text(result.T_target_source),
         ]
     )
-
-
-def matrix_text(matrix: np.ndarray) -> str:
-    """Return a matrix as aligned rows of numbers."""
-    return '\n'.join('  ' + ' '.join(f'{value: 12.6f}' for value in row) for row in matrix)
 
 
 def errors(estimate: Similarity, truth: Similarity, source: np.ndarray) -> dict[str, float]:
@@ -119,17 +112,28 @@ def errors(estimate: Similarity, truth: Similarity, source: np.ndarray) -> dict[
     }
 
 
-def fused(source: CloudFile, target: CloudFile, transform: Similarity) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (N, 3) and colours (N, 3) of the target and the moved source in one cloud.
+def moved(cloud: CloudFile, transform: Similarity) -> CloudFile:
+    """Return a cloud in the frame of the target, its normals turned with it."""
+    normals = None if cloud.normals is None else cloud.normals @ transform.rotation.T
+    return CloudFile(transform.apply(cloud.points), cloud.colors, normals)
 
-    Each keeps its own colours where it has them; else the target is blue and the source is orange.
+
+def fused(source: CloudFile, target: CloudFile, transform: Similarity) -> CloudFile:
+    """Return the target and the moved source in one cloud.
+
+    Each keeps its own colours where it has them; else the target is blue and the source is orange. Where only one has
+    normals, those of the other are zero.
     """
-    points = np.concatenate([target.points, transform.apply(source.points)])
+    source = moved(source, transform)
     parts = [
         cloud.colors if cloud.colors is not None else np.tile(tint, (len(cloud.points), 1))
         for cloud, tint in ((target, TARGET_TINT), (source, SOURCE_TINT))
     ]
-    return points, np.concatenate(parts)
+    normals = None
+    if target.normals is not None or source.normals is not None:
+        normals = [np.zeros_like(each.points) if each.normals is None else each.normals for each in (target, source)]
+        normals = np.concatenate(normals)
+    return CloudFile(np.concatenate([target.points, source.points]), np.concatenate(parts), normals, target.origin)
 
 
 def _finite(value: float) -> float | None:

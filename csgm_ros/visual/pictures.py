@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from csgm_ros.io.files import CloudFile
+from csgm_ros.io.atomic import replacing
+from csgm_ros.io.cloud_file import CloudFile
 from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT
 from csgm_ros.types import Similarity
 
@@ -60,7 +61,8 @@ def before_after(path: str | Path, source: CloudFile, target: CloudFile, transfo
     figure.canvas.draw()
     pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
     pyplot.close(figure)
-    Image.fromarray(pixels).quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
+    with replacing(path) as file:
+        Image.fromarray(pixels).quantize(256, dither=Image.Dither.NONE).save(file, 'png', optimize=True)
 
 
 def draw(clouds: list[CloudFile], view: np.ndarray, size: tuple[int, int] = (430, 560)) -> np.ndarray:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import rclpy
 from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
@@ -25,6 +28,7 @@ from csgm_ros.io.bags import open_bag, require_topics
 from csgm_ros.ros.dds import use_large_buffers
 
 CLOCK_RATE = 50.0  # Hz
+INTERFACES = Path('share', 'ament_index', 'resource_index', 'rosidl_interfaces')
 
 
 @dataclass(frozen=True)
@@ -80,10 +84,14 @@ class Player:
             return  # ours is the one that fits the rate
         try:
             kind = message_type(connection.msgtype)
-        except (ImportError, AttributeError):
+        except (ImportError, AttributeError, ValueError):
             self._node.get_logger().warning(f'{topic} is left out: {connection.msgtype} is not installed')
             return
-        self._publishers[connection.id] = self._node.create_publisher(kind, topic, offered_qos(connection))
+        try:
+            publisher = self._node.create_publisher(kind, topic, offered_qos(connection))
+        except InvalidTopicNameException:
+            raise InputError(f'{self._bag}: holds the topic {topic[:60]!r}, which no ROS topic is called') from None
+        self._publishers[connection.id] = publisher
         self.counts[topic] = 0
 
     def wait_for_subscribers(self, timeout: float) -> list[str]:
@@ -137,9 +145,35 @@ class Player:
 
 
 def message_type(name: str) -> type:
-    """Return the Python type of, say, ``sensor_msgs/msg/PointCloud2``."""
+    """Return the Python type of, say, ``sensor_msgs/msg/PointCloud2``.
+
+    Only installed ROS interface packages are looked into, as the ament index lists them: a bag must not choose what is
+    imported from elsewhere, say from a folder beside it.
+
+    Raises
+    ------
+    ImportError
+        When no such package is installed.
+    """
     package, kind, message = name.split('/')
-    return getattr(import_module(f'{package}.{kind}'), message)
+    if kind != 'msg' or not (package.isidentifier() and message.isidentifier()):
+        raise ImportError(f'{name} is no message type')
+    if package not in sys.modules:  # what is there already runs no code
+        spec = find_spec(package)
+        places = [Path(place).resolve() for place in (spec.submodule_search_locations or ()) if place] if spec else []
+        roots = [prefix.resolve() for prefix in ament_prefixes() if (prefix / INTERFACES / package).is_file()]
+        if not places or not all(any(place.is_relative_to(root) for root in roots) for place in places):
+            raise ImportError(f'{package} is no installed ROS interface package')
+    found = getattr(import_module(f'{package}.{kind}'), message)
+    if not hasattr(found, '_TYPE_SUPPORT'):
+        raise ImportError(f'{name} is no message type')
+    return found
+
+
+def ament_prefixes() -> list[Path]:
+    """Return the prefixes of installed ROS packages: those of a sourced install, and this environment's own."""
+    named = [Path(prefix) for prefix in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if prefix]
+    return [*named, Path(sys.prefix)]
 
 
 def offered_qos(connection) -> QoSProfile:
