@@ -44,6 +44,7 @@ setup(
     maintainer_email='csgm_ros@example.org',
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
+    package_data={f'{NAME}.visual': ['assets/*', 'assets/three/three.min.js', 'assets/three/LICENSE']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -67,7 +68,7 @@ setup(
     extras_require={
         'ros': ROS,
         'formats': FORMATS,
-        'test': ['pytest', 'pytest-timeout', 'hypothesis', *FORMATS],
+        'test': ['pytest', 'pytest-timeout', 'hypothesis', 'selenium', *FORMATS],
         'peers': ['kiss-matcher', 'small-gicp', 'pycpd', 'jrmpc'],
         'dev': ['ruff', 'colcon-common-extensions', 'setuptools<80', *INTERFACE_BUILD],
     },

@@ -42,7 +42,7 @@ def before_after(path: str | Path, source: CloudFile, target: CloudFile, transfo
     moved = CloudFile(transform.apply(source.points), source.colors)
     tinted = [_tinted(target, TARGET_TINT), _tinted(moved, SOURCE_TINT)]
     raw = [_tinted(target, TARGET_TINT), _tinted(source, SOURCE_TINT)]
-    oblique = _turned(FRONT, 28, 22)
+    oblique = turned(FRONT, 28, 22)
     panels = [
         ('before: the source, in a unit and pose of its own', [source], FRONT),
         ('before: the target', [target], oblique),
@@ -112,7 +112,7 @@ def _tinted(cloud: CloudFile, tint: tuple[float, float, float]) -> CloudFile:
     return CloudFile(cloud.points, np.clip(np.tile(tint, (len(cloud.points), 1)) * brightness, 0, 1))
 
 
-def _turned(view: np.ndarray, yaw: float, pitch: float) -> np.ndarray:
+def turned(view: np.ndarray, yaw: float, pitch: float) -> np.ndarray:
     """Return a view from further right (yaw) and from further above (pitch), degrees."""
     cy, sy = np.cos(np.radians(yaw)), np.sin(np.radians(yaw))
     cp, sp = np.cos(np.radians(pitch)), np.sin(np.radians(pitch))
