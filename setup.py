@@ -34,6 +34,9 @@ INTERFACE_BUILD = [
 # What reads .las .laz and meshes; every other format needs no library beyond the package's own.
 FORMATS = ['laspy>=2.5', 'lazrs>=0.6', 'trimesh>=4']
 
+# Many pairs on many machines; Bokeh draws Dask's dashboard.
+BATCH = ['distributed>=2024.1', 'pyarrow>=15', 'bokeh>=3.1']
+
 setup(
     name=NAME,
     version='0.1.0',
@@ -68,7 +71,8 @@ setup(
     extras_require={
         'ros': ROS,
         'formats': FORMATS,
-        'test': ['pytest', 'pytest-timeout', 'hypothesis', 'selenium', *FORMATS],
+        'batch': BATCH,
+        'test': ['pytest', 'pytest-timeout', 'hypothesis', 'selenium', *FORMATS, *BATCH],
         'peers': ['kiss-matcher', 'small-gicp', 'pycpd', 'jrmpc'],
         'dev': ['ruff', 'colcon-common-extensions', 'setuptools<80', *INTERFACE_BUILD],
     },

@@ -32,7 +32,8 @@ FILES = {
     'registration': {'scale', 'structure', 'graph', 'matching', 'transform', 'verification', 'attempts'},
     '__init__': {'registration'},
 }
-OPTIONAL = {'laspy', 'trimesh'}  # libraries of single file formats, which rosdep does not know: extras of pip
+# Libraries that rosdep does not know, extras of pip, and where alone they are imported.
+OPTIONAL = {'formats': {'laspy', 'trimesh'}, 'batch': {'dask', 'distributed', 'pyarrow'}}
 ROS = {
     *('rclpy', 'rcl_interfaces', 'builtin_interfaces', 'std_msgs', 'std_srvs', 'sensor_msgs', 'geometry_msgs'),
     *('diagnostic_msgs', 'visualization_msgs', 'lifecycle_msgs', 'rosgraph_msgs', 'tf2_msgs', 'tf2_ros'),
@@ -141,8 +142,8 @@ def test_every_import_is_declared():
     keys |= {name: f'python3-{name}' for name in ('numpy', 'scipy', 'numba', 'matplotlib', 'tqdm')}
     keys |= {'tf2_ros': 'tf2_ros_py', 'PIL': 'python3-pil'}
     launch = list((PACKAGE / 'launch').glob('*.py'))
-    optional = {name for name in OPTIONAL if f"'{name}" in (ROOT / 'setup.py').read_text()}
-    formats = [path for path in MODULES if path.parent.name == 'formats']
-    others = [path for path in MODULES if path not in formats]
-    needed = third_party([*others, *launch]) | (third_party(formats) - optional)
+    others = [path for path in MODULES if path.parent.name not in OPTIONAL]
+    needed = third_party([*others, *launch])
+    for folder, names in OPTIONAL.items():
+        needed |= third_party([path for path in MODULES if path.parent.name == folder]) - names
     assert not {name for name in needed if keys.get(name, name) not in declared}

@@ -22,6 +22,7 @@ ROS_COMMANDS = {
     'replay': ('csgm_ros.ros.client.player', 'play a rosbag2 bag into the live node'),
     'call': ('csgm_ros.ros.client.commands', 'call the live node: configure, activate, register, status ...'),
 }
+BATCH = 'register many pairs, report on them, align their clouds; needs csgm_ros[batch]'
 
 
 class _Parser(argparse.ArgumentParser):
@@ -37,6 +38,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if arguments and arguments[0] in ROS_COMMANDS:
             return _ros_command(*arguments[:1], arguments[1:])
+        if arguments and arguments[0] == 'batch':
+            return _batch(arguments[1:])
         options = _parser().parse_args(arguments)
         return options.run(options)
     except CsgmError as error:
@@ -58,6 +61,7 @@ def _parser() -> argparse.ArgumentParser:
         add(commands)
     for name, (_, text) in ROS_COMMANDS.items():
         commands.add_parser(name, help=text, add_help=False)
+    commands.add_parser('batch', help=BATCH, add_help=False)
     return parser
 
 
@@ -276,6 +280,18 @@ def _ros_command(name: str, arguments: list[str]) -> int:
             f'{name} needs {error.name}, which is not here; source a ROS 2 install or use the environment of `make`'
         ) from None
     return module.main(arguments) or 0
+
+
+def _batch(arguments: list[str]) -> int:
+    """Hand over to a module that imports what only the extra `batch` brings."""
+    from csgm_ros.cli import batch
+
+    try:
+        return batch.main(arguments)
+    except ModuleNotFoundError as error:
+        if error.name and error.name.startswith('csgm_ros'):
+            raise
+        raise InputError(f"batch needs {error.name}, which is not here; pip install 'csgm_ros[batch]'") from None
 
 
 def _seed(text: str) -> int:

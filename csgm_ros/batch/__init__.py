@@ -1,0 +1,1 @@
+"""Many pairs on many machines, and one frame for their clouds."""

@@ -1,0 +1,92 @@
+"""What a worker does: one pair, from two files to one row."""
+
+from __future__ import annotations
+
+import functools
+import json
+import platform
+import time
+from datetime import UTC, datetime
+from importlib import metadata
+
+from csgm_ros.batch.pairs import Pair
+from csgm_ros.errors import CsgmError
+
+LIBRARIES = ('numpy', 'scipy', 'numba', 'open3d-cpu', 'open3d')
+
+
+def register_pair(pair: Pair, threads: int) -> dict:
+    """Register one pair of files and return its row; input that cannot be registered is a result too.
+
+    Parameters
+    ----------
+    pair : Pair
+    threads : int
+        Threads that the registration may take, where the pair's parameters do not say.
+    """
+    import numpy as np
+
+    from csgm_ros.config import profile, replaced
+    from csgm_ros.io.files import read_cloud
+    from csgm_ros.registration import register
+
+    config = replaced(profile(pair.profile), {'threads': threads, **dict(pair.changes)})
+    start = time.perf_counter()
+    try:
+        source, target = (read_cloud(path).points for path in (pair.source, pair.target))
+        read_seconds = time.perf_counter() - start
+        result = register(source, target, config, seed=pair.seed)
+    except CsgmError as error:
+        return {**failed(pair, str(error)), 'worker': platform.node(), 'versions': versions()}
+    nodes = result.source_graph.nodes
+    center = nodes.mean(0)
+    verdict = {name: value for name, value in vars(result.verdict).items() if isinstance(value, (int, float))}
+    verdict.pop('accepted')
+    return {
+        **_head(pair),
+        'accepted': bool(result.accepted),
+        'failed': False,
+        'reason': result.reason,
+        'T_target_source': result.T_target_source.ravel().tolist(),
+        'scale': float(result.scale),
+        **{name: float(verdict[name]) for name in ('fitness_source', 'fitness_target', 'inlier_rmse', 'margin')},
+        'evidence': {name: float(value) for name, value in verdict.items()},
+        'source_center': center.tolist(),
+        'source_spread': float(np.sqrt(((nodes - center) ** 2).sum(1).mean())),
+        'timings': dict(result.timings),
+        'seconds': float(result.seconds),
+        'read_seconds': read_seconds,
+        'versions': versions(),
+        'worker': platform.node(),
+        'finished': _now(),
+    }
+
+
+def failed(pair: Pair, reason: str) -> dict:
+    """Return the row of a pair that has no result."""
+    return {**_head(pair), 'accepted': False, 'failed': True, 'reason': reason, 'finished': _now()}
+
+
+@functools.cache
+def versions() -> dict[str, str]:
+    """Return the versions that a result may depend on."""
+    found = {'python': platform.python_version()}
+    for name in ('csgm_ros', *LIBRARIES):
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue  # Open3D comes under two names
+    return found
+
+
+def _head(pair: Pair) -> dict:
+    return {
+        'key': pair.key,
+        **{name: getattr(pair, name) for name in ('id', 'source', 'target', 'seed', 'profile')},
+        'parameters': json.dumps(dict(pair.changes)),
+        'parameters_hash': pair.parameters_hash,
+    }
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec='seconds')
