@@ -13,7 +13,7 @@ from pathlib import Path
 from csgm_ros.config import Config, flatten, profile
 from csgm_ros.errors import CsgmError, InputError
 from csgm_ros.io.config_files import assignment
-from csgm_ros.io.files import SUFFIXES
+from csgm_ros.io.formats import format_of
 
 COLUMNS = ('source', 'target', 'id', 'seed', 'parameters')
 NEUTRAL = ('threads',)  # parameters on which the result does not depend
@@ -127,7 +127,7 @@ def all_pairs(folders: Sequence[str | Path], pattern: str, config: Config, seed:
     """
     files = []
     for folder in map(Path, folders):
-        files += sorted(file for file in folder.glob(pattern) if file.suffix.lower() in SUFFIXES)
+        files += sorted(file for file in folder.glob(pattern) if format_of(file.name))
     pairs = [
         _pair(f'{source.as_posix()}--{target.as_posix()}', source, target, config, seed)
         for target, source in itertools.combinations(files, 2)

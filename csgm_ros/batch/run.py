@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import logging
+import multiprocessing
 import os
 import sys
 import time
@@ -143,15 +144,15 @@ def cluster(address: str | None, workers: int = 0, *, threads: int = 0, retries:
     cores = len(os.sched_getaffinity(0))
     workers = workers or max(1, min(cores, int(_memory() // BYTES_A_WORKER)))
     threads = threads or max(1, cores // workers)
+    before = set(multiprocessing.active_children())
     numbers = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS', 'NUMBA_NUM_THREADS')
     settings = {
         'distributed.scheduler.allowed-failures': retries,
         # a worker holds the pair that it works on and no other: only that one is blamed for its death
         'distributed.scheduler.worker-saturation': 1.0,
     }
-    with (
-        dask.config.set(settings),
-        LocalCluster(
+    with dask.config.set(settings):
+        local = LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
@@ -159,10 +160,16 @@ def cluster(address: str | None, workers: int = 0, *, threads: int = 0, retries:
             dashboard_address='127.0.0.1:0',
             env={name: str(threads) for name in numbers},
             silence_logs=logging.CRITICAL,
-        ) as local,
-        Client(local, set_as_default=False) as client,
-    ):
-        yield client, threads
+        )
+        try:
+            with Client(local, set_as_default=False) as client:
+                yield client, threads
+        finally:
+            # the workers hold nothing that is not on the disk: on a busy machine they do not end in time by themselves
+            with contextlib.suppress(TimeoutError):
+                local.close(timeout=10)
+            for process in set(multiprocessing.active_children()) - before:
+                process.kill()
 
 
 def _memory() -> int:

@@ -64,7 +64,7 @@ def test_a_folder_pairs_what_lies_together(tmp_path):
 
 
 def test_every_two_clouds_of_some_folders_are_paired_once(tmp_path):
-    for name in ('a.ply', 'b.npy', 'c.xyz', 'notes.txt'):
+    for name in ('a.ply', 'b.npy', 'c.xyz', 'notes.md'):
         (tmp_path / name).touch()
     pairs = all_pairs([tmp_path], '*', profile())
     assert len(pairs) == len({frozenset((pair.source, pair.target)) for pair in pairs}) == 3
