@@ -60,6 +60,7 @@ setup(
         'numpy>=1.26',
         'scipy>=1.11',
         'numba>=0.58',
+        'threadpoolctl>=3.1',
         'open3d-cpu>=0.19; platform_machine == "x86_64"',
         'open3d>=0.19; platform_machine != "x86_64"',
         'PyYAML',

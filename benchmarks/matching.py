@@ -18,8 +18,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import plots, tables
+from csgm_ros.cloud.threads import blas_threads
 from csgm_ros.config import MatchingConfig, profile
-from csgm_ros.matching.blas import single_thread
 from csgm_ros.matching.match import match_graphs, score
 
 SIZES = (25, 50, 75, 100, 150, 200, 300, 400)
@@ -97,7 +97,7 @@ def rrwm() -> Callable | None:
 
     def run(node, edge, edges_1, edges_2):
         affinity = pairwise(node, edge, edges_1, edges_2)
-        with single_thread():  # without this it takes several times the CPU time, and none the less
+        with blas_threads(1):  # without this it takes several times the CPU time, and none the less
             start = time.process_time()
             soft = pygmtools.rrwm(affinity, *node.shape, backend='numpy')
             hard = pygmtools.hungarian(soft, backend='numpy')

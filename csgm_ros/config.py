@@ -245,7 +245,7 @@ class IcpConfig(Checked):
     """Step 5c, final ICP with shrinking correspondence distance."""
 
     estimate_scale: bool = param(True, 'refine the scale too; the paper leaves it at Eq. (1) and RANSAC')
-    iterations: int = param(30, 'ICP iterations at most per run', low=1, high=1000)
+    iterations: int = param(30, 'ICP iterations at most per run; 0 leaves the final ICP out', low=0, high=1000)
     max_correspondence_distances: tuple[float, ...] = param(
         (0.02, 0.01),
         'largest distance of a correspondence, one run after the other',

@@ -21,7 +21,7 @@ from csgm_ros.progress import Clock, Progress
 from csgm_ros.scale import normalize, search_range
 from csgm_ros.structure.extract import cut, describe
 from csgm_ros.structure.keypoints import describe_keypoints
-from csgm_ros.transform.hypothesis_search import search, search_grid
+from csgm_ros.transform.hypothesis_search import search, search_grids
 from csgm_ros.transform.ransac import ransac
 from csgm_ros.transform.refinement import refine_best, refine_finalists
 from csgm_ros.transform.sources import StructurePair, propose
@@ -39,6 +39,18 @@ from csgm_ros.verification.evidence import Evidence
 from csgm_ros.verification.view import View
 
 NAMES = ('source', 'target')
+LEAST_EFFORT = {
+    'supervoxels.voxel_size': 0.1,
+    'supervoxels.seed_size': 0.4,
+    'descriptors.esf_samples': 100,
+    'matching.alpha_steps': 2,
+    'matching.search_effort': 0.1,
+    'hypotheses.trials': 1000,
+    'verification.fine_voxel_size': 0.1,
+    'icp.iterations': 0,  # no kernel of ours
+    'verification.certain_margin': 100.0,  # so that every source is asked
+    'time_budget': 1e-3,  # and no second attempt made
+}
 
 
 def register(
@@ -84,7 +96,8 @@ def register(
     for number, attempt in enumerate(schedule(pair, config)):
         clock.begin(number)
         try:
-            view, result = _attempt(pair, attempt, views, config, seed, clock)
+            rng = np.random.default_rng([seed, number] if number else seed)  # a stream of its own for each attempt
+            view, result = _attempt(pair, attempt, views, config, rng, clock)
         except DegenerateCloudError:
             if not results:
                 raise
@@ -96,16 +109,20 @@ def register(
             break
     clock.finish()
     result = unanimous(list(results.values()), config.verification.different / pair.normalizations[1].scale)
-    return dataclasses.replace(result, timings=clock.timings)
+    return dataclasses.replace(result, timings=clock.timings, seed=seed)
 
 
 def _attempt(
-    pair: NormalizedPair, attempt: Attempt, views: dict[int, View], config: Config, seed: int, clock: Clock
+    pair: NormalizedPair,
+    attempt: Attempt,
+    views: dict[int, View],
+    config: Config,
+    rng: np.random.Generator,
+    clock: Clock,
 ) -> tuple[View, RegistrationResult]:
     """Steps 2 to 5 of Algorithm 1."""
-    rng = np.random.default_rng(seed)
     clock.enter('structure extraction')
-    view = views.get(attempt.smoothing) or _view(pair, attempt, config, rng, seed)
+    view = views.get(attempt.smoothing) or _view(pair, attempt, config, rng)
     source, target = _structures(view.pair, attempt, config, rng)  # step 2
     graphs = build(source, config.graph), build(target, config.graph)  # step 3
     clock.enter('graph matching')
@@ -113,12 +130,12 @@ def _attempt(
     clock.enter('transformation estimation')
     estimate = {'search': _searched, 'ransac': _ransac}[config.hypotheses.method]  # step 5
     best, verdict = estimate(structures, view, config, rng, clock)
-    return view, _result(best, verdict, structures, graphs, view.pair, config, seed)
+    return view, _result(best, verdict, structures, graphs, view.pair, config)
 
 
-def _view(pair: NormalizedPair, attempt: Attempt, config: Config, rng: np.random.Generator, seed: int) -> View:
+def _view(pair: NormalizedPair, attempt: Attempt, config: Config, rng: np.random.Generator) -> View:
     if not attempt.smoothing:
-        return View(pair, config, np.random.default_rng(seed), retried=False)
+        return View(pair, config, rng.spawn(1)[0], retried=False)
     sides = zip(pair.clouds, pair.normalizations, strict=True)
     clouds = tuple(unit.inverse().apply(smoothed(unit.apply(cloud), attempt.smoothing)) for cloud, unit in sides)
     return View(NormalizedPair(clouds, pair.normalizations), config, rng, retried=True)
@@ -195,12 +212,14 @@ def _ransac(
         inlier_distance=config.ransac.inlier_distance,
         estimate_scale=config.scale.estimate_scale,
     )
-    # RANSAC has no competing hypotheses, and without them there is no verdict: search for some
-    for _ in _candidates(('graph', 'local'), structures, view, config, rng, clock):
-        pass
     scaled = config.scale.estimate_scale and config.icp.estimate_scale
     best = view.measure(refine_best(start, *view.surfaces, config, estimate_scale=scaled))
-    return best.transform, view.judge(best)
+    verdict = view.judge(best)
+    if verdict.accepted:  # knowing no competing hypotheses, as RANSAC has none: search for some before it is believed
+        for _ in _candidates(config.hypotheses.sources, structures, view, config, rng, clock):
+            pass
+        verdict = view.judge(best)
+    return best.transform, verdict
 
 
 def _searched(
@@ -235,7 +254,7 @@ def _candidates(
     for name in sources:
         hypotheses = propose(name, structures, config.hypotheses, rng)
         if len(hypotheses):
-            grids = grids or tuple(search_grid(side.surface) for side in (structures.source, structures.target))
+            grids = grids or search_grids(structures, config.verification)
             finalists = search(hypotheses, *grids, config, rng, clock)
             view.measured += map(view.measure, refine_finalists(finalists, *view.surfaces, config))
         yield
@@ -248,7 +267,6 @@ def _result(
     graphs: tuple[StructureGraph, StructureGraph],
     pair: NormalizedPair,
     config: Config,
-    seed: int,
 ) -> RegistrationResult:
     matches = structures.matches
     offsets = best.apply(graphs[0].nodes[matches[:, 0]]) - graphs[1].nodes[matches[:, 1]]
@@ -260,7 +278,7 @@ def _result(
         dataclasses.replace(graph, nodes=unit.inverse().apply(graph.nodes))
         for graph, unit in zip(graphs, pair.normalizations, strict=True)
     )
-    return RegistrationResult(own, verdict, {}, seed, config, *shown, matches, inliers)
+    return RegistrationResult(own, verdict, {}, 0, config, *shown, matches, inliers)
 
 
 def _updated(earlier: RegistrationResult | None, result: RegistrationResult) -> RegistrationResult:
@@ -271,9 +289,8 @@ def _updated(earlier: RegistrationResult | None, result: RegistrationResult) -> 
 
 
 def warm_up() -> None:
-    """Compile every kernel by registering a small synthetic cloud with itself (cached on disk afterwards)."""
+    """Compile every kernel, or load it from the disk, by registering a tiny cloud with itself at the least effort."""
     rng = np.random.default_rng(0)
-    points = rng.normal(size=(3000, 3))
+    points = rng.normal(size=(800, 3))
     points *= np.array((3.0, 2.0, 1.0)) / np.linalg.norm(points, axis=1, keepdims=True)
-    for name in ('robust', 'paper'):
-        register(points, points, replaced(profile(name), {'time_budget': 1e-3}))  # one attempt meets every kernel
+    register(points, points, replaced(profile(), LEAST_EFFORT))

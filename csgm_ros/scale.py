@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from csgm_ros.cloud.outliers import without_far, without_isolated, without_uniform_outliers
+from csgm_ros.cloud.outliers import without_extremes, without_far, without_isolated, without_uniform_outliers
 from csgm_ros.config import Config, ScaleConfig
+from csgm_ros.errors import naming
 from csgm_ros.types import NormalizedPair, Similarity
 
 
@@ -30,9 +31,13 @@ def normalize(clouds: tuple[np.ndarray, np.ndarray], config: Config) -> Normaliz
     factor = config.preprocess.outlier_factor
     if factor <= 0.0:
         return NormalizedPair(clouds, normalizations(*clouds, config.scale))
-    clouds = tuple(map(without_uniform_outliers, clouds))
-    units = normalizations(*(without_isolated(cloud, factor) for cloud in clouds), config.scale)
-    return NormalizedPair(tuple(without_far(cloud, unit) for cloud, unit in zip(clouds, units, strict=True)), units)
+    kept, dense = [], []
+    for name, cloud in zip(('source', 'target'), clouds, strict=True):
+        with naming(name):
+            kept.append(without_uniform_outliers(without_extremes(cloud)))
+            dense.append(without_isolated(kept[-1], factor))
+    units = normalizations(*dense, config.scale)
+    return NormalizedPair(tuple(without_far(cloud, unit) for cloud, unit in zip(kept, units, strict=True)), units)
 
 
 def normalizations(source: np.ndarray, target: np.ndarray, config: ScaleConfig) -> tuple[Similarity, Similarity]:

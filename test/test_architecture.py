@@ -139,7 +139,7 @@ def test_every_import_is_declared():
     tree = ElementTree.parse(ROOT / 'package.xml')
     declared = {element.text for tag in ('depend', 'exec_depend') for element in tree.iter(tag)}
     keys = {'yaml': 'python3-yaml', 'open3d': 'python3-open3d-pip', 'rosbags': 'python3-rosbags-pip'}
-    keys |= {name: f'python3-{name}' for name in ('numpy', 'scipy', 'numba', 'matplotlib', 'tqdm')}
+    keys |= {name: f'python3-{name}' for name in ('numpy', 'scipy', 'numba', 'threadpoolctl', 'matplotlib', 'tqdm')}
     keys |= {'tf2_ros': 'tf2_ros_py', 'PIL': 'python3-pil'}
     launch = list((PACKAGE / 'launch').glob('*.py'))
     others = [path for path in MODULES if path.parent.name not in OPTIONAL]

@@ -115,7 +115,7 @@ def test_an_empty_file_and_no_file_are_the_profile(tmp_path):
     ('text', 'names'),
     [
         ('icp: {iteration: 7}', 'icp.iteration'),
-        ('icp: {iterations: 0}', 'iterations must lie in'),
+        ('icp: {iterations: -1}', 'iterations must lie in'),
         ('icp: {iterations: many}', 'iterations must be int'),
         ('icp: 3', "'icp'"),
         ('autostart: 5', 'autostart must be bool'),

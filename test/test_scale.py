@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import random_similarity
+from scenes import random_similarity, room
 
-from csgm_ros.config import ScaleConfig
-from csgm_ros.scale import normalizations, radius, search_range
+from csgm_ros.config import ScaleConfig, profile
+from csgm_ros.errors import DegenerateCloudError, naming
+from csgm_ros.scale import normalizations, normalize, radius, search_range
 from csgm_ros.types import Similarity
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -68,3 +69,18 @@ def test_search_range_obeys_the_bounds_in_the_clouds_own_units(source, target, l
     assert first < second
     assert first * source / target >= config.scale_min * (1 - 1e-12)
     assert second * source / target <= config.scale_max * (1 + 1e-12)
+
+
+def test_an_error_about_one_cloud_names_it():
+    with pytest.raises(DegenerateCloudError, match=r'^target: too few$'), naming('target'):
+        raise DegenerateCloudError('too few')
+
+
+@pytest.mark.parametrize('away', [1e3, 1e9, 1e30])
+@pytest.mark.parametrize('count', [1, 50])
+def test_points_absurdly_far_away_do_not_count(away, count):
+    cloud = room(1, 200)
+    far = cloud[:count] + np.array([away, 0.0, 0.0])
+    alone, mixed = (normalize((points, cloud), profile()) for points in (cloud, np.concatenate([cloud, far])))
+    assert mixed.normalizations[0].scale == pytest.approx(alone.normalizations[0].scale, rel=1e-9)
+    assert len(mixed.clouds[0]) == len(cloud)

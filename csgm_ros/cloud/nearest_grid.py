@@ -7,9 +7,9 @@ that point and too long by at most a cell's diagonal; the final ICP uses exact n
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from csgm_ros.cloud.kernels import kernel
 from csgm_ros.types import NearestGrid
 
 MAX_CELLS = 5e7
@@ -29,7 +29,7 @@ def build(points: np.ndarray, normals: np.ndarray, cell: float, reach: float) ->
     return NearestGrid(np.ascontiguousarray(points), np.ascontiguousarray(normals), index, origin, cell)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _fill(points, index, origin, cell, reach):
     steps = int(np.ceil(reach / cell))
     best = np.full(index.shape, np.float32(reach * reach), np.float32)
@@ -50,7 +50,7 @@ def _fill(points, index, origin, cell, reach):
                         index[i, j, k] = p
 
 
-@numba.njit(cache=True, nogil=True, inline='always')
+@kernel(inline=True)
 def lookup(index, origin, cell, x, y, z):
     """Return the point named by the cell of (x, y, z), -1 outside the grid."""
     i = int(np.floor((x - origin[0]) / cell))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from csgm_ros.cloud.kernels import kernel
 from csgm_ros.cloud.voxels import VoxelGrid
 
 
@@ -35,7 +35,7 @@ def products(vectors: np.ndarray) -> np.ndarray:
     return np.column_stack((x * x, x * y, x * z, y * y, y * z, z * z))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _with_neighbors(values, starts, neighbors, labels):
     """Return each voxel's row of ``values`` plus those of its neighbours with the same label."""
     sums = values.copy()
@@ -48,7 +48,7 @@ def _with_neighbors(values, starts, neighbors, labels):
     return sums
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def axes_of(matrices, largest):
     """Return :func:`axis_of` for each row (xx, xy, xz, yy, yz, zz) of a (k, 6) array."""
     axes = np.empty((len(matrices), 3))
@@ -58,7 +58,7 @@ def axes_of(matrices, largest):
     return axes
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def axis_of(xx, xy, xz, yy, yz, zz, largest):
     """Return the unit eigenvector of a symmetric 3x3 matrix's largest or smallest eigenvalue.
 

@@ -13,9 +13,16 @@ VOXEL = 0.02  # of the radius: evens out the density before neighbours are count
 FINE_VOXEL = 0.01  # the same where uniform outliers are sought: in coarser voxels they are as dense as a surface
 NEIGHBORS = 10
 FAR = 2.0  # radii
+MOST, EXTREME = 0.8, 30.0  # share of the points, and how many times as far as it is too far
 MIN_SEPARATION = 0.77  # of uniform outliers from the rest, see _split
 MIN_KEPT = 0.1  # of the points: a few in one place do not make outliers of all the others
 VOLUME = 0.7  # surface variation from which points fill a volume; that of a noisy surface is below
+
+
+def without_extremes(points: np.ndarray) -> np.ndarray:
+    """Return the points that are not absurdly far from most: one at 1e9 leaves no voxel of a usable size."""
+    distances = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    return points[distances <= EXTREME * np.quantile(distances, MOST)]
 
 
 def without_isolated(points: np.ndarray, factor: float) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from csgm_ros.cloud.plane_fit import fit_planes
 from csgm_ros.cloud.voxels import voxel_means
 from csgm_ros.errors import DegenerateCloudError, InputError
 from csgm_ros.types import PreparedCloud, Similarity
@@ -44,11 +45,7 @@ def finite_points(points: np.ndarray, name: str = 'cloud') -> np.ndarray:
 
 def normals_of(points: np.ndarray, neighbors: int) -> np.ndarray:
     """Return unit normals (N, 3) from the nearest ``neighbors`` points; their sign is arbitrary."""
-    import open3d
-
-    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
-    cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(neighbors))
-    return np.asarray(cloud.normals).copy()
+    return fit_planes(points, neighbors, points).normals
 
 
 def prepare(points: np.ndarray, normalization: Similarity, voxel_size: float, neighbors: int) -> PreparedCloud:

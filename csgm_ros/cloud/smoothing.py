@@ -27,6 +27,6 @@ def smoothed(points: np.ndarray, neighbors: int, rounds: int = 2) -> np.ndarray:
     """
     moved = voxel_means(points, VOXEL)
     for _ in range(rounds):
-        means, normals, _ = fit_planes(moved, neighbors, moved)
-        moved = moved - ((moved - means) * normals).sum(1, keepdims=True) * normals
+        planes = fit_planes(moved, neighbors, moved)
+        moved = moved - ((moved - planes.means) * planes.normals).sum(1, keepdims=True) * planes.normals
     return moved

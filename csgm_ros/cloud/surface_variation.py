@@ -22,7 +22,7 @@ def surface_variation(points: np.ndarray, neighbors: int = 40) -> float:
     Pauly et al. 2002 divide the smallest variance by the sum of all three, which an edge lowers as much as a plane;
     the ratio of the two smaller extents tells a line of points from a sheet.
     """
-    _, _, extents = fit_planes(points, neighbors, points[:: -(-len(points) // SAMPLES)])
+    extents = fit_planes(points, neighbors, points[:: -(-len(points) // SAMPLES)]).extents()
     return float(np.median(extents[:, 0] / np.maximum(extents[:, 1], 1e-12)))
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from csgm_ros.cloud.kernels import kernel
 from csgm_ros.errors import InputError
 
 # The centre of the bounding box lies this share of a voxel above a corner. PCL puts it on the corner; but then a
@@ -126,7 +126,7 @@ def unpacked(keys: np.ndarray) -> np.ndarray:
     return np.stack((keys >> 2 * BITS, keys >> BITS, keys), axis=1) & (1 << BITS) - 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _bounds(points):
     """Return the corners of the bounding box; numpy takes ten times as long on rows of three."""
     low, high = points[0].copy(), points[0].copy()
@@ -137,7 +137,7 @@ def _bounds(points):
     return low, high
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _key(points, i, origin, scale):
     """Return the packed integer coordinates of a point."""
     x = np.int64(np.floor((points[i, 0] - origin[0]) * scale))
@@ -146,7 +146,7 @@ def _key(points, i, origin, scale):
     return x << 2 * BITS | y << BITS | z
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _slot(table, keys, key):
     """Return where a key is, or belongs, in an open-addressing table of indices into ``keys`` (-1 is free)."""
     mask = len(table) - 1
@@ -157,7 +157,7 @@ def _slot(table, keys, key):
     return slot
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _number_cells(points, origin, scale):
     """Return the occupied cells' keys in the order in which they are met, and the number of each point's cell."""
     table = np.full(1 << 12, -1, np.int32)
@@ -180,7 +180,7 @@ def _number_cells(points, origin, scale):
     return keys[:count].copy(), numbers
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _centroids(points, origin, scale, cells, point_voxels):
     """Return the mean of the points of each voxel, in voxels from the origin."""
     sums = np.zeros((len(cells), 3), np.int64)
@@ -194,7 +194,7 @@ def _centroids(points, origin, scale, cells, point_voxels):
     return cells + sums / (counts * float(FIXED)).reshape(-1, 1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _adjacency(keys):
     """Return the 26-neighbourhood of sorted keys as (starts, neighbors).
 

@@ -11,7 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from csgm_ros.cloud.kernels import kernel
 
 
 class Objective(NamedTuple):
@@ -89,7 +90,7 @@ class State(NamedTuple):
     price: np.ndarray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def assign(gain, price, columns, rows):
     """Find the permutation of the largest total gain, by Jonker and Volgenant's shortest augmenting paths.
 
@@ -119,7 +120,7 @@ def assign(gain, price, columns, rows):
         augment(free[k], gain, price, columns, rows)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def best_two(gain, price):
     """Return the column of the largest profit, the runner-up, and by how much it is behind (0 if there is none)."""
     best, second, j1, j2 = -np.inf, -np.inf, 0, 0
@@ -134,7 +135,7 @@ def best_two(gain, price):
     return j1, j2, best - second if second > -np.inf else 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def augment(start, gain, price, columns, rows):
     """Assign the free row ``start`` along the shortest augmenting path and update the prices."""
     n = len(gain)
@@ -167,7 +168,7 @@ def augment(start, gain, price, columns, rows):
         columns[i], last = last, columns[i]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def relaxed_gradient(objective, x):
     """Gradient of J at any x; O(m1 m2)."""
     gradient = objective.node.copy()
@@ -180,7 +181,7 @@ def relaxed_gradient(objective, x):
     return gradient
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def vertex_gradient(objective, columns, gradient):
     """Write the gradient of J at a permutation; costs m1 times the mean degree of graph 2."""
     for i in range(len(columns)):
@@ -196,7 +197,7 @@ def vertex_gradient(objective, columns, gradient):
             gradient[i, objective.start_2[d]] += objective.edge[c, d]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def smooth_gain(smooth, columns, gain):
     """Add Eq. (8), linearised at a permutation, to ``gain``.
 
@@ -214,7 +215,7 @@ def smooth_gain(smooth, columns, gain):
                     gain[i, a] -= smooth.weight / matched * abs(smooth.lengths[k] - smooth.distances[b, a])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def maximise(objective, smooth, alpha, state, iterations, tolerance):
     """Climb J_alpha of Eq. (7) from ``state`` until the duality gap is small.
 
@@ -249,7 +250,7 @@ def maximise(objective, smooth, alpha, state, iterations, tolerance):
     return iterations, gap
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def line_search(objective, convexity, state, columns, rows, vertex, gap):
     """Return the best step in [0, 1] along x -> permutation: the objective is a parabola of slope ``gap`` there."""
     curvature = 0.0
@@ -263,7 +264,7 @@ def line_search(objective, convexity, state, columns, rows, vertex, gap):
     return 1.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def advance(objective, state, columns, rows, vertex, size):
     """Move the state by ``size`` towards the permutation."""
     keep = 1.0 - size

@@ -16,9 +16,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from csgm_ros.cloud.threads import blas_threads
 from csgm_ros.config import MatchingConfig
 from csgm_ros.errors import Cancelled, InputError
-from csgm_ros.matching.blas import single_thread
 from csgm_ros.matching.frank_wolfe import Objective, Smooth, State, assign, maximise, relaxed_gradient, smooth_gain
 from csgm_ros.matching.relaxations import lookup_tables, padded_objective, smooth_term
 from csgm_ros.matching.tabu_search import Lookup, evolve
@@ -83,7 +83,7 @@ def match_graphs(
         return Matching(np.zeros(node.shape, np.uint8), 0.0, 0)
     unit = max(np.abs(node).max(), np.abs(edge).max(initial=0.0)) or 1.0
     smooth = smooth._replace(weight=smooth.weight / unit)
-    with single_thread():
+    with blas_threads(1):
         columns, steps = _solve(
             node / unit, *_merged(pairs_1, pairs_2, edge / unit), smooth, config, is_cancelled or (lambda: False)
         )

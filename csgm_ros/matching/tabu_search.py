@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from csgm_ros.cloud.kernels import kernel
 from csgm_ros.matching.frank_wolfe import vertex_gradient
 
 PATIENCE = 25  # exchanges without a new best after which a climb ends
@@ -60,7 +60,7 @@ class Climber(NamedTuple):
     tabu: np.ndarray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def place(objective, lookup, climber):
     """Work out everything that follows from ``climber.columns``."""
     columns, gain, bond = climber.columns, climber.gain, climber.bond
@@ -76,7 +76,7 @@ def place(objective, lookup, climber):
     climber.tabu[:] = 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def tie(objective, lookup, climber, i):
     """Recompute row and column i of ``bond``."""
     edge, edge_1, edge_2, bond = objective.edge, lookup.edge_1, lookup.edge_2, climber.bond
@@ -93,7 +93,7 @@ def tie(objective, lookup, climber, i):
         bond[j, i] = total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_row(objective, lookup, climber, i, sign):
     """Add what the assignment of row i brings its neighbours, or take it away."""
     gain, rows, edge = climber.gain, climber.rows, objective.edge
@@ -112,7 +112,7 @@ def add_row(objective, lookup, climber, i, sign):
                 gain[j, rows[start_2[d]]] += sign * edge[c, d]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def exchange_rows(objective, lookup, climber, i, j):
     """Exchange the columns of rows i and j."""
     columns, rows, gain = climber.columns, climber.rows, climber.gain
@@ -129,7 +129,7 @@ def exchange_rows(objective, lookup, climber, i, j):
     tie(objective, lookup, climber, j)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def best_exchange(climber, real, step, wanted):
     """Return the best exchange that is not tabu, or brings more than ``wanted``: rows i < j and what it brings."""
     best, best_i, best_j = -np.inf, -1, -1
@@ -145,7 +145,7 @@ def best_exchange(climber, real, step, wanted):
     return best_i, best_j, best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def climb(objective, lookup, climber, real, rng):
     """Tabu search from ``climber.columns`` until ``PATIENCE`` exchanges bring nothing new.
 
@@ -178,14 +178,14 @@ def climb(objective, lookup, climber, real, rng):
     return top, step
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def store(source, target):
     """Copy; a slice assignment would compile for seconds."""
     for i in range(len(source)):
         target[i] = source[i]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def shuffle(items, rng):
     """Put the items in random order; ``rng.permutation`` would compile for seconds."""
     for i in range(len(items) - 1, 0, -1):
@@ -193,7 +193,7 @@ def shuffle(items, rng):
         items[i], items[j] = items[j], items[i]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cross(mother, father, child, rng):
     """Keep what the parents agree on, take the rest from either where it is free, fill up at random."""
     n = len(child)
@@ -221,7 +221,7 @@ def cross(mother, father, child, rng):
             free[order[k]] = False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def evolve(objective, lookup, starts, real, effort, rng):
     """Search from several permutations and return the best one found.
 

@@ -7,7 +7,8 @@ triple's three lines are traced through it and are IN the shape, OUT of it, or M
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from csgm_ros.cloud.kernels import kernel, random_bits
 
 GRID = 64
 HALF = GRID // 2
@@ -29,14 +30,14 @@ AREA2_MIN = 1e-3
 DRAWS = 20
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fill(points, starts, members, states, samples, first, last, rows):
     """Fill ``rows[first:last]`` with the ESF of the groups ``members[starts[g]:starts[g + 1]]`` of (N, 3) points."""
     for group in range(first, last):
         _describe(points, members[starts[group] : starts[group + 1]], states[group], samples, rows[group])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _describe(points, members, state, samples, row):
     """Write the 640 bins of the shape that the members make; zeros if they span no triangle."""
     row[:] = 0
@@ -67,7 +68,7 @@ def _describe(points, members, state, samples, row):
         row /= total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _scaled(points, members):
     """Return the members about their mean, the farthest one at half a grid; none if all are in one place."""
     scaled = np.empty((len(members), 3))
@@ -88,7 +89,7 @@ def _scaled(points, members):
     return scaled * (HALF / np.sqrt(farthest))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _cells(scaled):
     """Return the packed centre of each point's cell; clipped, as rounding may put the farthest one beyond the grid."""
     cells = np.empty(len(scaled), np.int64)
@@ -102,13 +103,13 @@ def _cells(scaled):
     return cells
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _unpacked(cell):
     """Return the three indices of a packed cell."""
     return cell >> 2 * FIELD + FRACTION, cell >> FIELD + FRACTION & GRID - 1, cell >> FRACTION & GRID - 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _occupancy(cells):
     """Return the points' cells and their 26 neighbours as bits z of words [x, y]: 32 kB, which stay in cache."""
     grid = np.zeros(GRID * GRID, np.uint64)
@@ -121,7 +122,7 @@ def _occupancy(cells):
     return grid
 
 
-@njit(cache=True, nogil=True, inline='always')
+@kernel(inline=True)
 def _trace(grid, start, end):
     """Return how many cells of the digital line from start to end are occupied, and how many it has.
 
@@ -143,27 +144,18 @@ def _trace(grid, start, end):
     return np.int64(inside), count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _three(state, count):
     """Return the generator's next state and three indices below ``count`` (SplitMix64)."""
-    state, first = _random(state)
-    state, second = _random(state)
+    state, first = random_bits(state)
+    state, second = random_bits(state)
     n, low = np.uint64(count), np.uint64(0xFFFFFFFF)
     half = np.uint64(32)
     i, j, k = ((first & low) * n) >> half, ((first >> half) * n) >> half, ((second & low) * n) >> half
     return state, np.int64(i), np.int64(j), np.int64(k)
 
 
-@njit(cache=True, nogil=True)
-def _random(state):
-    """Return the next state and 64 random bits."""
-    state += np.uint64(0x9E3779B97F4A7C15)
-    bits = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return state, bits ^ (bits >> np.uint64(31))
-
-
-@njit(cache=True, nogil=True)
+@kernel
 def _area2(scaled, i, j, k):
     """Return the squared area of a triangle."""
     ax, ay, az = scaled[j, 0] - scaled[i, 0], scaled[j, 1] - scaled[i, 1], scaled[j, 2] - scaled[i, 2]
@@ -172,7 +164,7 @@ def _area2(scaled, i, j, k):
     return (nx * nx + ny * ny + nz * nz) / 4
 
 
-@njit(cache=True, nogil=True, inline='always')
+@kernel(inline=True)
 def _measure(scaled, cells, grid, i, j, k, area2, lengths, kinds, s, histogram):
     """Measure one triple as sample s."""
     ax, ay, az = scaled[j, 0] - scaled[i, 0], scaled[j, 1] - scaled[i, 1], scaled[j, 2] - scaled[i, 2]
@@ -197,7 +189,7 @@ def _measure(scaled, cells, grid, i, j, k, area2, lengths, kinds, s, histogram):
     histogram[A3 + kind, _angle_bin((bx * cx + by * cy + bz * cz) / (b * c))] += count_a / HALF
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _note_line(length, inside, count, lengths, kinds, s, side, histogram):
     """Note a side's length, its class, and its share inside the shape."""
     kind = IN if inside >= count - 1 else (OUT if inside <= 7 else MIXED)
@@ -206,7 +198,7 @@ def _note_line(length, inside, count, lengths, kinds, s, side, histogram):
     histogram[RATIO + MIXED - kind, int(inside / count * (BINS - 1) + 0.5)] += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _angle_bin(cosine):
     """Return the bin of an angle folded to a right angle; arccos by Abramowitz and Stegun 4.4.46, error 2e-8."""
     x = min(abs(cosine), 1.0)
@@ -215,7 +207,7 @@ def _angle_bin(cosine):
     return int(np.sqrt(1 - x) * p * ((BINS - 1) / (np.pi / 2)) + 0.5)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _bin_lengths(lengths, kinds, histogram):
     """Bin D2 and D3, each relative to the largest one measured."""
     longest, largest = np.float32(0), np.float32(0)

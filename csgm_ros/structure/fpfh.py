@@ -7,7 +7,8 @@ simplified feature (SPFH) of a point, and a weighted mean of those around a plac
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from csgm_ros.cloud.kernels import kernel
 
 BINS = 11
 WIDTH = 3 * BINS
@@ -48,7 +49,7 @@ def fpfh(points: np.ndarray, normals: np.ndarray, radius: float, places: np.ndar
     return _weighted_means(points, features, radius, np.ascontiguousarray(places, np.float64))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _spfh(points, normals, radius, axis):
     """Return the SPFH of each point; the points are sorted along ``axis``, so a sweep finds the pairs."""
     counts = np.zeros((len(points), WIDTH))
@@ -73,7 +74,7 @@ def _spfh(points, normals, radius, axis):
     return counts
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _pair_bins(normals, i, j, x, y, z):
     """Return whether a pair with unit direction d = (x, y, z) from i to j has angles, and their bins.
 
@@ -95,13 +96,13 @@ def _pair_bins(normals, i, j, x, y, z):
     return True, _bin(theta / np.pi), _bin(triple / sine), _bin(along_u)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _bin(value):
     """Return the bin of a value in [-1, 1]."""
     return min(max(int(BINS * (value + 1) / 2), 0), BINS - 1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _weighted_means(points, features, radius, places):
     """Return the weighted mean feature of the points within the radius of each place."""
     means = np.zeros((len(places), WIDTH))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from csgm_ros.cloud.kernels import kernel
 from csgm_ros.cloud.normals import axes_of
 from csgm_ros.cloud.voxels import VoxelGrid
 
@@ -58,7 +58,7 @@ def flow(
     return labels, centers, center_axes
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _ring(labels, least, centroids, axes, starts, neighbors, centers, center_axes, normal_weight, spatial_weight):
     """Return the labels after every supervoxel took what it touches; lower ``least``, the voxels' D when taken."""
     grown = labels.copy()
@@ -83,7 +83,7 @@ def _means(centroids, axes, labels, count):
     return sums[:, :3] / sums[:, 3:], axes_of(moments, True)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sums(centroids, axes, labels, count):
     """Return each supervoxel's sum of positions with its number of voxels, and sum of n n^T (upper half)."""
     sums, moments = np.zeros((count, 4)), np.zeros((count, 6))
@@ -104,7 +104,7 @@ def _sums(centroids, axes, labels, count):
     return sums, moments
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def nearest_to_centers(centroids, labels, centers):
     """Return the voxel of each supervoxel that is nearest to its centre."""
     nearest, least = np.full(len(centers), -1), np.full(len(centers), np.inf)

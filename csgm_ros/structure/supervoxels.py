@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
+from csgm_ros.cloud.kernels import kernel
 from csgm_ros.cloud.normals import axes_of, plane_normals, products
 from csgm_ros.cloud.voxels import FIXED, VoxelGrid, first_in_morton_order, occupied, unpacked, voxelize
 from csgm_ros.errors import DegenerateCloudError, InputError
@@ -168,7 +168,7 @@ def _seeds(grid: VoxelGrid, spacing: float) -> np.ndarray:
     return seeds
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _touching(labels, starts, neighbors):
     """Return a (k, 2) row (smaller, larger label) for each pair of neighbouring voxels of two supervoxels."""
     pairs = np.empty((0, 2), np.int64)

@@ -1,15 +1,15 @@
 """Short ICP with scale, on look-up tables, for the hundreds of transforms that verification looks at.
 
 Point to plane, because smooth surfaces slide; with a little point to point, because planes and spheres leave
-directions open; correspondences of both directions, because those of one direction with a wide gate shrink the
+directions open; correspondences of both directions, because those of one direction with a wide distance shrink the
 source.
 """
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from csgm_ros.cloud.kernels import kernel
 from csgm_ros.cloud.nearest_grid import lookup
 from csgm_ros.types import NearestGrid
 
@@ -22,7 +22,7 @@ def refine_all(
     source: NearestGrid,
     target: NearestGrid,
     samples: tuple[np.ndarray, np.ndarray],
-    gates: tuple[float, ...],
+    distances: tuple[float, ...],
     min_cosine: float,
     *,
     iterations: int = 8,
@@ -36,12 +36,12 @@ def refine_all(
         Similarity matrices, source to target.
     samples : pair of index arrays
         Points of source and target that seek a partner.
-    gates : tuple of float
+    distances : tuple of float
         Largest distance of a correspondence, target units; one run after the other, wide to narrow.
     min_cosine : float
         Smallest cosine between the normals of a correspondence, up to their sign.
     iterations : int, optional
-        At most, per gate.
+        At most, per distance.
     estimate_scale : bool, optional
         False keeps the scale of each transform.
 
@@ -50,29 +50,33 @@ def refine_all(
     (H, 4, 4) ndarray
     """
     refined = np.array(transforms, float).reshape(-1, 4, 4)
-    _refine_all(refined, source, target, *samples, np.array(gates), min_cosine, iterations, estimate_scale)
+    _refine_all(refined, source, target, *samples, np.array(distances), min_cosine, iterations, estimate_scale)
     return refined
 
 
-@numba.njit(cache=True, nogil=True)
-def _refine_all(transforms, source, target, from_source, from_target, gates, min_cosine, iterations, estimate_scale):
+@kernel
+def _refine_all(
+    transforms, source, target, from_source, from_target, distances, min_cosine, iterations, estimate_scale
+):
     for h in range(len(transforms)):
-        for gate in gates:
+        for distance in distances:
             for _ in range(iterations):
                 if (
-                    _step(transforms[h], source, target, from_source, from_target, gate, min_cosine, estimate_scale)
-                    < 0.02 * gate
+                    _step(transforms[h], source, target, from_source, from_target, distance, min_cosine, estimate_scale)
+                    < 0.02 * distance
                 ):
                     break
 
 
-@numba.njit(cache=True, nogil=True)
-def _step(matrix, source, target, from_source, from_target, gate, min_cosine, estimate_scale):
+@kernel
+def _step(matrix, source, target, from_source, from_target, distance, min_cosine, estimate_scale):
     """Do one Gauss-Newton step in place and return about how far it moved the cloud; 0 when it cannot."""
     scale = np.sqrt(matrix[0, 0] ** 2 + matrix[1, 0] ** 2 + matrix[2, 0] ** 2)
     normal_matrix, gradient = np.zeros((7, 7)), np.zeros(7)
-    count = _pull_source(matrix, source, target, from_source, gate, min_cosine * scale, normal_matrix, gradient)
-    count += _pull_target(matrix, scale, source, target, from_target, gate, min_cosine * scale, normal_matrix, gradient)
+    count = _pull_source(matrix, source, target, from_source, distance, min_cosine * scale, normal_matrix, gradient)
+    count += _pull_target(
+        matrix, scale, source, target, from_target, distance, min_cosine * scale, normal_matrix, gradient
+    )
     if count < MIN_CORRESPONDENCES:
         return 0.0
     for k in range(7):
@@ -89,8 +93,8 @@ def _step(matrix, source, target, from_source, from_target, gate, min_cosine, es
     return np.abs(step).max()
 
 
-@numba.njit(cache=True, nogil=True)
-def _pull_source(m, source, target, chosen, gate, min_product, normal_matrix, gradient):
+@kernel
+def _pull_source(m, source, target, chosen, distance, min_product, normal_matrix, gradient):
     count = 0
     row = np.empty(7)
     for i in chosen:
@@ -100,12 +104,12 @@ def _pull_source(m, source, target, chosen, gate, min_product, normal_matrix, gr
         z = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
         j = lookup(target.index, target.origin, target.cell, x, y, z)
         if j >= 0:
-            count += _accumulate(m, source, target, i, j, x, y, z, gate, min_product, row, normal_matrix, gradient)
+            count += _accumulate(m, source, target, i, j, x, y, z, distance, min_product, row, normal_matrix, gradient)
     return count
 
 
-@numba.njit(cache=True, nogil=True)
-def _pull_target(m, scale, source, target, chosen, gate, min_product, normal_matrix, gradient):
+@kernel
+def _pull_target(m, scale, source, target, chosen, distance, min_product, normal_matrix, gradient):
     count = 0
     row = np.empty(7)
     squared = scale * scale
@@ -122,16 +126,16 @@ def _pull_target(m, scale, source, target, chosen, gate, min_product, normal_mat
             x = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]
             y = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3]
             z = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
-            count += _accumulate(m, source, target, i, j, x, y, z, gate, min_product, row, normal_matrix, gradient)
+            count += _accumulate(m, source, target, i, j, x, y, z, distance, min_product, row, normal_matrix, gradient)
     return count
 
 
-@numba.njit(cache=True, nogil=True, inline='always')
-def _accumulate(m, source, target, i, j, x, y, z, gate, min_product, row, normal_matrix, gradient):
+@kernel(inline=True)
+def _accumulate(m, source, target, i, j, x, y, z, distance, min_product, row, normal_matrix, gradient):
     # source point i, moved to (x, y, z), corresponds to target point j: add J' W J (upper triangle) and J' W e of
     # e = moved - target
     dx, dy, dz = x - target.points[j, 0], y - target.points[j, 1], z - target.points[j, 2]
-    if dx * dx + dy * dy + dz * dz > gate * gate:
+    if dx * dx + dy * dy + dz * dz > distance * distance:
         return 0
     u, v, w = target.normals[j, 0], target.normals[j, 1], target.normals[j, 2]
     d, e, f = source.normals[i, 0], source.normals[i, 1], source.normals[i, 2]
@@ -155,7 +159,7 @@ def _accumulate(m, source, target, i, j, x, y, z, gate, min_product, row, normal
     return 1
 
 
-@numba.njit(cache=True, nogil=True, inline='always')
+@kernel(inline=True)
 def _accumulate_point(x, y, z, dx, dy, dz, normal_matrix, gradient):
     # the same for the three axes at once, upper triangle
     weight = POINT_WEIGHT
@@ -187,7 +191,7 @@ def _accumulate_point(x, y, z, dx, dy, dz, normal_matrix, gradient):
         normal_matrix[k, k] += weight
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _compose(matrix, step):
     # matrix <- exp(step) matrix, rotation by Rodrigues
     angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)

@@ -7,12 +7,14 @@ case of ten at worst, so here triples are drawn by the hundred thousand, and tho
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from csgm_ros.cloud.kernels import kernel, random_bits
 from csgm_ros.cloud.normals import cosine
 from csgm_ros.config import HypothesesConfig
 from csgm_ros.transform.correspondences import Correspondences
+
+MIN_SINE = 1e-3  # of the angle at a corner of a minimal sample: below, its points are on a line
 
 
 def from_triples(
@@ -60,29 +62,21 @@ def from_triples(
     return out[:count]
 
 
-@numba.njit(cache=True, nogil=True, inline='always')
-def _below(state, n):
-    # splitmix64: a generator of four lines whose stream is the same on every machine
-    state[0] += np.uint64(0x9E3779B97F4A7C15)
-    z = state[0]
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z = z ^ (z >> np.uint64(31))
-    return int((z >> np.uint64(11)) % np.uint64(n))
-
-
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _draw(p, q, np_, nq, seed, trials, low, high, fixed, min_length, tolerance, min_cosine, out):
-    state = np.array([seed], np.uint64)
+    state = seed
     triple = np.empty(3, np.int64)
     count = 0
     for _ in range(trials):
         for i in range(3):
-            triple[i] = _below(state, len(p))
+            state, bits = random_bits(state)
+            triple[i] = int((bits >> np.uint64(11)) % np.uint64(len(p)))
         scale = _common_scale(p, q, triple, min_length, tolerance)
         if not (low <= scale <= high):
             continue
         if not _angles_agree(p, q, np_, nq, triple):
+            continue
+        if _collinear(p, triple) or _collinear(q, triple):
             continue
         matrix = _triad(p, q, triple, np.exp(0.5 * (low + high) if fixed else scale))
         if _normals_agree(matrix, np_, nq, triple, min_cosine):
@@ -93,12 +87,12 @@ def _draw(p, q, np_, nq, seed, trials, low, high, fixed, min_length, tolerance, 
     return count
 
 
-@numba.njit(cache=True, nogil=True, inline='always')
+@kernel(inline=True)
 def _distance(a, b):
     return np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _common_scale(p, q, triple, min_length, tolerance):
     # mean log ratio of the three sides, NaN where a side is short or the ratios differ
     total, smallest, largest = 0.0, np.inf, -np.inf
@@ -116,7 +110,7 @@ def _common_scale(p, q, triple, min_length, tolerance):
     return total / 3.0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _angles_agree(p, q, np_, nq, triple):
     for i in range(3):
         a, b = triple[i], triple[(i + 1) % 3]
@@ -127,7 +121,7 @@ def _angles_agree(p, q, np_, nq, triple):
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _triad(p, q, triple, scale):
     a, b, c = triple
     frame_p = _frame(p[a], p[b], p[c])
@@ -139,25 +133,28 @@ def _triad(p, q, triple, scale):
     return matrix
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
+def _collinear(points, triple):
+    # three points on a line fix no rotation about it
+    side, other = points[triple[1]] - points[triple[0]], points[triple[2]] - points[triple[0]]
+    area = np.cross(side, other)
+    return (area**2).sum() <= MIN_SINE**2 * (side**2).sum() * (other**2).sum()
+
+
+@kernel
 def _frame(a, b, c):
     frame = np.empty((3, 3))
     x = b - a
     x = x / np.sqrt((x**2).sum())
-    y = c - (a + b) / 2.0
-    z = np.cross(x, y)
-    length = np.sqrt((z**2).sum())
-    if length < 1e-9:
-        z = np.array([x[1], -x[0], 0.0]) + 1e-6
-        length = np.sqrt((z**2).sum())
-    z = z / length
+    z = np.cross(x, c - (a + b) / 2.0)
+    z = z / np.sqrt((z**2).sum())
     frame[:, 0] = x
     frame[:, 1] = np.cross(z, x)
     frame[:, 2] = z
     return frame
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _normals_agree(matrix, np_, nq, triple, min_cosine):
     scale = np.sqrt(matrix[0, 0] ** 2 + matrix[1, 0] ** 2 + matrix[2, 0] ** 2)
     for k in range(3):

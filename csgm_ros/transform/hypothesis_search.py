@@ -6,18 +6,24 @@ import numpy as np
 
 from csgm_ros.cloud import nearest_grid
 from csgm_ros.cloud.normals import cosine
-from csgm_ros.config import Config
+from csgm_ros.config import Config, VerificationConfig
 from csgm_ros.progress import Clock
 from csgm_ros.transform import batch_icp, scoring
+from csgm_ros.transform.sources import StructurePair
 from csgm_ros.types import NearestGrid, PreparedCloud
 
 BATCH = 10  # hypotheses between two looks at the clock
-CELL, REACH = 0.025, 0.12  # of the look-up table, in radii: REACH is the widest gate
+CELL, REACH = 0.025, 0.12  # of the look-up table, in radii: REACH is the widest distance
 
 
-def search_grid(surface: PreparedCloud) -> NearestGrid:
+def search_grid(surface: PreparedCloud, reach: float = REACH) -> NearestGrid:
     """Tabulate the nearest points of a surface of radius about 1, as far as the search looks."""
-    return nearest_grid.build(surface.points, surface.normals, CELL, REACH)
+    return nearest_grid.build(surface.points, surface.normals, CELL, max(reach, REACH))
+
+
+def search_grids(pair: StructurePair, config: VerificationConfig) -> tuple[NearestGrid, NearestGrid]:
+    """Tabulate both surfaces; scores are in target units, so the source's reach is longer where it will be shrunk."""
+    return search_grid(pair.source.surface, config.coarse_truncation / pair.scales[0]), search_grid(pair.target.surface)
 
 
 def search(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 
 from csgm_ros.types import Similarity
@@ -11,12 +13,13 @@ def refine(
     source: np.ndarray,
     target: np.ndarray,
     start: Similarity,
-    gates: tuple[float, ...],
+    max_correspondence_distances: tuple[float, ...],
     *,
     iterations: int = 30,
     estimate_scale: bool = True,
+    threads: int = 0,
 ) -> Similarity:
-    """Refine a transform by point-to-point ICP, one run per gate, wide to narrow.
+    """Refine a transform by point-to-point ICP, one run per distance, wide to narrow.
 
     Parameters
     ----------
@@ -24,26 +27,32 @@ def refine(
         Clouds in one frame and unit each.
     start : Similarity
         Transform to start from.
-    gates : tuple of float
-        Largest distance of a correspondence, target units.
+    max_correspondence_distances : tuple of float
+        Target units.
     iterations : int, optional
-        At most, per gate.
+        At most, per run; 0 leaves the transform alone.
     estimate_scale : bool, optional
         Refine the scale too. The paper leaves it at Eq. (1), whose error reaches 42 %.
+    threads : int, optional
+        Threads at most; 0 takes every core.
 
     Returns
     -------
     Similarity
     """
+    if iterations == 0:
+        return start
     import open3d
 
+    if hasattr(open3d.utility, 'set_max_threads'):  # from Open3D 0.20 on
+        open3d.utility.set_max_threads(threads or os.cpu_count() or 1)
     registration = open3d.pipelines.registration
     clouds = [open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points)) for points in (source, target)]
     criteria = registration.ICPConvergenceCriteria(max_iteration=iterations)
     estimation = registration.TransformationEstimationPointToPoint(estimate_scale)
     matrix = start.matrix
-    for gate in gates:
-        result = registration.registration_icp(*clouds, gate, matrix, estimation, criteria)
+    for distance in max_correspondence_distances:
+        result = registration.registration_icp(*clouds, distance, matrix, estimation, criteria)
         if len(result.correspondence_set) < 3:
             break
         matrix = result.transformation

@@ -41,4 +41,5 @@ def refine_best(
         part.max_correspondence_distances,
         iterations=part.iterations,
         estimate_scale=estimate_scale,
+        threads=config.threads,
     )

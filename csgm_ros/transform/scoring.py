@@ -7,9 +7,9 @@ prefers shrunken solutions. Points must agree in place and in normal, and a clos
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from csgm_ros.cloud.kernels import kernel
 from csgm_ros.cloud.nearest_grid import lookup
 from csgm_ros.types import NearestGrid
 
@@ -19,10 +19,10 @@ def scores(
     source: NearestGrid,
     target: NearestGrid,
     samples: tuple[np.ndarray, np.ndarray],
-    gate: float,
+    truncation: float,
     min_cosine: float,
 ) -> np.ndarray:
-    """Score transforms by how closely the two clouds lie on each other, the smaller side counting.
+    """Score transforms by the truncated linear score of two clouds, the smaller side counting.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def scores(
         Similarity matrices, source to target.
     samples : pair of index arrays
         Points of source and target that are looked at.
-    gate : float
+    truncation : float
         Distance in target units at which a point counts nothing; one at distance 0 counts 1.
     min_cosine : float
         Smallest cosine between the normals, up to their sign.
@@ -43,18 +43,18 @@ def scores(
     forth, back = np.empty(len(transforms)), np.empty(len(transforms))
     chosen_source = source.points[samples[0]], source.normals[samples[0]]
     chosen_target = target.points[samples[1]], target.normals[samples[1]]
-    _closeness(*chosen_source, transforms, target, gate, min_cosine, False, forth)
-    _closeness(*chosen_target, _inverses(transforms), source, gate, min_cosine, True, back)
+    _truncated_linear(*chosen_source, transforms, target, truncation, min_cosine, False, forth)
+    _truncated_linear(*chosen_target, _inverses(transforms), source, truncation, min_cosine, True, back)
     return np.minimum(forth, back)
 
 
-@numba.njit(cache=True, nogil=True)
-def _closeness(points, normals, transforms, grid, gate, min_cosine, backward, out):
-    """Write the mean closeness under each transform; ``gate`` is in target units also when going backward."""
+@kernel
+def _truncated_linear(points, normals, transforms, grid, truncation, min_cosine, backward, out):
+    """Write the mean score under each transform; ``truncation`` is in target units also when going backward."""
     for h in range(len(transforms)):
         m = transforms[h]
         scale = np.sqrt(m[0, 0] ** 2 + m[1, 0] ** 2 + m[2, 0] ** 2)
-        reach = gate * scale if backward else gate
+        reach = truncation * scale if backward else truncation
         total = 0.0
         for p in range(len(points)):
             a, b, c = points[p, 0], points[p, 1], points[p, 2]
@@ -79,7 +79,7 @@ def _closeness(points, normals, transforms, grid, gate, min_cosine, backward, ou
         out[h] = total / len(points)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _inverses(transforms):
     out = np.zeros_like(transforms)
     for h in range(len(transforms)):

@@ -117,7 +117,7 @@ def test_a_bag_gives_what_its_files_give(pair, tmp_path, capsys):
         (['register', 'a.ply', 'b.ply', '--bag', 'c'], '--bag replaces'),
         (['register', '--bag', 'none'], 'none'),
         (['register', 'a.ply', 'b.ply', '--set', 'x'], 'name=value'),
-        (['register', 'a.ply', 'b.ply', '--set', 'icp.iterations=0'], 'icp.iterations'),
+        (['register', 'a.ply', 'b.ply', '--set', 'icp.iterations=-1'], 'icp.iterations'),
         (['register', 'a.ply', 'b.ply', '--config', 'none.yaml'], 'none.yaml'),
         (['register', 'a.ply', 'b.ply', '--output', 'f.stl'], 'f.stl'),
         (['register', 'a.ply', 'b.ply', '--output', 'nowhere/f.ply'], 'nowhere'),

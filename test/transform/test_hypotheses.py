@@ -111,3 +111,14 @@ def test_candidates_on_a_line_give_proper_rotations():
     for matrix in drawn(Correspondences(line, line, normals, normals)):
         assert np.linalg.det(matrix[:3, :3]) > 0.0
         assert np.isfinite(matrix).all()
+
+
+def test_minimal_samples_on_a_line_are_left_out():
+    line = np.linspace(0.0, 3.0, 12)[:, None] * np.array([1.0, 0.5, 0.2])
+    normals = np.tile([0.0, 0.0, 1.0], (12, 1))
+    assert len(drawn(Correspondences(line, line, normals, normals))) == 0
+    apart = np.concatenate([line, [[0.5, -1.0, 1.0]]])
+    normals = np.tile([0.0, 0.0, 1.0], (13, 1))
+    for matrix in drawn(Correspondences(apart, apart, normals, normals)):
+        rotation = Similarity.from_matrix(matrix).rotation
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)

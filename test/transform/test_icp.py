@@ -42,3 +42,14 @@ def test_the_same_start_gives_the_same_bits():
     start = TRUTH @ nudge(1.02, 0.02, 0.02)
     first, second = (refine(SOURCE, TARGET, start, GATES).matrix for _ in range(2))
     assert first.tobytes() == second.tobytes()
+
+
+def test_the_number_of_threads_reaches_open3d_and_changes_nothing():
+    open3d = pytest.importorskip('open3d')
+    source, target = room(1, 200), room(2, 200)
+    found = [
+        refine(source, target, Similarity.identity(), (0.1,), threads=threads).matrix.tobytes() for threads in (1, 2)
+    ]
+    assert found[0] == found[1]
+    if hasattr(open3d.utility, 'get_max_threads'):
+        assert open3d.utility.get_max_threads() == 2
