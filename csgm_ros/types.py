@@ -44,6 +44,19 @@ class Similarity:
         scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
         return cls(scale, matrix[:3, :3] / scale, matrix[:3, 3].copy())
 
+    @classmethod
+    def from_quaternion(cls, quaternion: np.ndarray, translation: np.ndarray, scale: float = 1.0) -> Similarity:
+        """Return the transform of a quaternion (x, y, z, w) of any length but zero, as ROS orders it."""
+        x, y, z, w = np.asarray(quaternion, float) / np.linalg.norm(quaternion)
+        rotation = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        return cls(scale, rotation, np.asarray(translation, float))
+
     @property
     def matrix(self) -> np.ndarray:
         """The homogeneous (4, 4) matrix ``T_target_source``."""

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from csgm_ros.cloud.voxels import voxelized
 from csgm_ros.errors import InputError
 from csgm_ros.types import Cloud
 
@@ -49,20 +50,11 @@ def average_voxels(
     points: np.ndarray, colors: np.ndarray | None, voxel_size: float
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the mean point and colour of each occupied voxel; ``voxel_size`` relative to the radius."""
-    centered = points - points.mean(axis=0)
-    edge = voxel_size * float(np.sqrt((centered**2).sum(axis=1).max()))
+    edge = voxel_size * float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).max()))
     if edge == 0.0:
         return points[:1], None if colors is None else colors[:1]
-    cells = np.floor(centered / edge).astype(np.int64)
-    cells -= cells.min(axis=0)
-    extent = cells.max(axis=0) + 1
-    keys = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
-    _, voxel, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    merged = average(points, voxel, counts)
-    return merged, None if colors is None else np.rint(average(colors, voxel, counts)).astype(np.uint8)
-
-
-def average(values: np.ndarray, group: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return the mean of each group's (N, 3) values."""
-    sums = [np.bincount(group, weights=column, minlength=len(counts)) for column in values.T]
-    return np.stack(sums, axis=1) / counts[:, None]
+    merged, voxel = voxelized(points, edge)
+    if colors is None:
+        return merged, None
+    sums = np.stack([np.bincount(voxel, weights=column, minlength=len(merged)) for column in colors.T], axis=1)
+    return merged, np.rint(sums / np.bincount(voxel)[:, None]).astype(np.uint8)

@@ -178,16 +178,9 @@ def pixel_rays(height: int, width: int) -> np.ndarray:
 
 def random_similarity(rng: np.random.Generator) -> Similarity:
     """Draw a rotation about any axis, a translation and a scale between 1/20 and 20: the gauge of an SfM cloud."""
-    quaternion = rng.normal(size=4)
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return Similarity(float(np.exp(rng.uniform(-np.log(20), np.log(20)))), rotation, rng.normal(0, 10, 3))
+    w, *axis = rng.normal(size=4)
+    scale = float(np.exp(rng.uniform(-np.log(20), np.log(20))))
+    return Similarity.from_quaternion([*axis, w], rng.normal(0, 10, 3), scale)
 
 
 def _random_view(room: Room, pose: Similarity, rng: np.random.Generator, rays: int) -> Hits:

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from csgm_ros.cloud.merge import merge
+from csgm_ros.cloud.voxels import lattice_origin
 from csgm_ros.errors import InputError
 from csgm_ros.io.pointcloud2 import CODES, check_layout, decode, encode
 from csgm_ros.types import Cloud
@@ -212,7 +213,8 @@ def test_merging_averages_each_voxel_once():
     assert 1000 < len(merged.points) < 8000
     everything = np.concatenate([first, second])
     edge = 0.05 * np.linalg.norm(everything - everything.mean(axis=0), axis=1).max()
-    assert len(np.unique(np.floor((merged.points - everything.mean(axis=0)) / edge), axis=0)) == len(merged.points)
+    cells = np.floor((merged.points - lattice_origin(everything, edge)) / edge)
+    assert len(np.unique(cells, axis=0)) == len(merged.points)
     assert len(merge(clouds, 0.0).points) == 8000
     assert merge(clouds[:1], 0.05) is clouds[0]
 

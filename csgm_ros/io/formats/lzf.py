@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from csgm_ros.cloud.kernels import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def inflate(packed: np.ndarray, data: np.ndarray) -> int:
     """Decompress into ``data``; return the bytes written, -1 where the data is damaged.
 
