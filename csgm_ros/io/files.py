@@ -37,7 +37,7 @@ def read_cloud(path: str | Path) -> CloudFile:
         For a file that is missing, of another kind, empty, cut or garbage; the message names it and the remedy.
     """
     path = _existing(path)
-    with _named(path):
+    with _named(path), np.errstate(all='ignore'):  # what overflows is not finite, and left out as such
         cloud = _module(path).read(path)
         if isinstance(cloud, Table):
             cloud = cloud_of(cloud.part(0, cloud.rows))
@@ -69,7 +69,7 @@ def chunks(path: str | Path, rows: int = CHUNK) -> Iterator[CloudFile]:
         bounds = [(first, min(first + rows, whole)) for first in range(0, whole, rows)]
         limit = _color_limit(found, bounds) if isinstance(found, Table) else None
     for first, last in bounds:
-        with _named(path):
+        with _named(path), np.errstate(all='ignore'):
             if isinstance(found, Table):
                 part = cloud_of(found.part(first, last), limit)
             else:

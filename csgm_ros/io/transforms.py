@@ -41,10 +41,10 @@ def read_result(path: str | Path) -> tuple[Similarity, bool]:
             raise ValueError
         values = json.loads(path.read_text(encoding='utf-8'))
         matrix = np.array(values['T_target_source'], float)
+        if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+            raise ValueError
         transform = Similarity.from_matrix(matrix)
         turned = transform.rotation @ transform.rotation.T
-        if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or np.abs(matrix[3] - (0, 0, 0, 1)).max() > 0.0:
-            raise ValueError
         if not transform.scale > 0.0 or np.abs(turned - np.eye(3)).max() > 1e-6:
             raise ValueError
     except OSError as error:

@@ -123,6 +123,10 @@ def test_a_bag_gives_what_its_files_give(pair, tmp_path, capsys):
         (['register', 'a.ply', 'b.ply', '--output', 'nowhere/f.ply'], 'nowhere'),
         (['register', 'a.ply', 'b.ply', '--json', 'r.txt'], 'r.txt'),
         (['inspect', 'none.pcd'], 'none.pcd'),
+        (['register', 'a.doc', 'b.ply'], '.laz'),
+        (['apply', 'none.json', 'a.ply', '-o', 'b.ply'], 'none.json'),
+        (['apply', 'none.json', 'a.ply', '-o', 'b.stl'], 'b.stl'),
+        (['export-transform', 'none.json', '--format', 'ros'], 'none.json'),
         (['demo', '--source', 'a.ply'], '--target'),
     ],
 )
@@ -164,7 +168,10 @@ def test_simulate_and_inspect(tmp_path, capsys):
     assert 'radius' in capsys.readouterr().out
 
 
-@pytest.mark.parametrize('name', ['register', 'demo', 'inspect', 'config', 'simulate', 'record-demo', 'replay', 'call'])
+@pytest.mark.parametrize(
+    'name',
+    ['register', 'apply', 'export-transform', 'demo', 'inspect', 'config', 'simulate', 'record-demo', 'replay', 'call'],
+)
 def test_every_command_has_help(name):
     pytest.importorskip('rclpy')
     said = subprocess.run([*COMMAND, name, '--help'], capture_output=True, text=True)
@@ -198,3 +205,96 @@ def test_progress_shows_on_a_terminal_and_ctrl_c_exits_with_130(pair):
     assert run.wait() == 130
     assert b'Traceback' not in seen
     assert b'interrupted' in seen
+
+
+@pytest.fixture
+def result_file(tmp_path):
+    """A result as `register --json` writes it, of a transform that mixes every component."""
+    rotation = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
+    transform = Similarity(1.7, rotation, np.array([665171.25, -5648298.125, 1 / 3]))
+    (tmp_path / 'r.json').write_text(json.dumps({'T_target_source': transform.matrix.tolist(), 'accepted': True}))
+    return tmp_path / 'r.json', transform
+
+
+def test_apply_moves_points_and_normals_of_a_further_cloud(result_file, tmp_path):
+    path, transform = result_file
+    points, colors = np.random.default_rng(1).normal(size=(50, 3)), np.full((50, 3), 0.2)
+    normals = points / np.linalg.norm(points, axis=1, keepdims=True)
+    write_cloud(tmp_path / 'a.ply', points, colors, normals=normals)
+    assert main(['apply', str(path), str(tmp_path / 'a.ply'), '-o', str(tmp_path / 'b.ply')]) == 0
+    moved = read_cloud(tmp_path / 'b.ply')
+    np.testing.assert_allclose(moved.points, transform.apply(points), atol=1e-9)
+    np.testing.assert_allclose(moved.normals, normals @ transform.rotation.T, atol=1e-6)
+    np.testing.assert_allclose(moved.colors, colors)
+
+
+def test_a_rejected_result_is_not_used_unasked(result_file, tmp_path, capsys):
+    path, _ = result_file
+    path.write_text(path.read_text().replace('true', 'false'))
+    write_cloud(tmp_path / 'a.ply', np.zeros((3, 3)))
+    for command in (
+        ['apply', str(path), str(tmp_path / 'a.ply'), '-o', str(tmp_path / 'b.ply')],
+        ['export-transform', str(path), '--format', 'colmap'],
+    ):
+        assert main(command) == 3
+        assert 'rejected' in one_line(capsys)
+        assert main([*command, '--rejected']) == 0
+        capsys.readouterr()
+
+
+def test_exports_reproduce_the_transform(result_file, capsys, tmp_path):
+    path, transform = result_file
+
+    def exported(kind):
+        assert main(['export-transform', str(path), '--format', kind]) == 0
+        return capsys.readouterr().out
+
+    scale, w, x, y, z, *translation = map(float, exported('colmap').split())
+    made = Similarity(scale, of_quaternion(w, x, y, z), np.array(translation))
+    np.testing.assert_allclose(made.matrix, transform.matrix, rtol=1e-14)
+    rows = np.array([line.split() for line in exported('cloudcompare').splitlines()], float)
+    np.testing.assert_allclose(rows, transform.matrix, rtol=1e-14, atol=1e-15)
+    words = exported('ros').split('static_transform_publisher')[1].split()
+    given = dict(zip(words[::2], words[1::2], strict=True))
+    w, x, y, z = (float(given[f'--q{name}']) for name in 'wxyz')
+    np.testing.assert_allclose(of_quaternion(w, x, y, z), transform.rotation, atol=1e-15)
+    assert [float(given[f'--{name}']) for name in 'xyz'] == transform.translation.tolist()
+    text = exported('matlab').split('[')[1].split(']')[0]
+    rows = np.array([row.split() for row in text.split(';')], float)
+    np.testing.assert_allclose(rows, transform.matrix, rtol=1e-14, atol=1e-15)
+    assert main(['export-transform', str(path), '--format', 'colmap', '-o', str(tmp_path / 't.txt')]) == 0
+    assert len((tmp_path / 't.txt').read_text().split()) == 8
+
+
+def of_quaternion(w, x, y, z):
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        '',
+        '{}',
+        '[]',
+        '{"T_target_source": [[1]]}',
+        '[' * 100000,
+        '{"T_target_source": [[1,0,0,0],[0,2,0,0],[0,0,3,0],[0,0,0,1]]}',
+    ],
+)
+def test_results_that_are_none_are_refused(text, tmp_path, capsys):
+    (tmp_path / 'r.json').write_text(text)
+    assert main(['export-transform', str(tmp_path / 'r.json'), '--format', 'ros']) == 2
+    assert 'r.json' in one_line(capsys)
+
+
+def test_a_full_disk_is_bad_input_not_success(pair, tmp_path, capsys, monkeypatch):
+    (tmp_path / 'full.ply').symlink_to('/dev/full')
+    (tmp_path / 'r.json').write_text(json.dumps({'T_target_source': np.eye(4).tolist()}))
+    assert main(['apply', str(tmp_path / 'r.json'), str(pair[0]), '-o', str(tmp_path / 'full.ply')]) == 2
+    assert 'No space left' in one_line(capsys)

@@ -29,7 +29,10 @@ def read(path: Path) -> CloudFile:
         vertices = np.concatenate(parts) if parts else None
     if vertices is None or not len(vertices):
         raise InputError('holds neither faces nor points')
-    return CloudFile(np.array(vertices, float)[:, :3])
+    vertices = np.array(vertices, float)
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise InputError('holds no points in space')
+    return CloudFile(vertices)
 
 
 def _check_complete(path: Path, kind: str) -> None:

@@ -1,0 +1,134 @@
+"""Valid inputs of every kind that is read, as small as they get: what the mutations start from."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from csgm_ros.config import NodeConfig, profile
+from csgm_ros.io import bags
+from csgm_ros.io.config_files import config_yaml
+from csgm_ros.io.files import write_cloud
+from csgm_ros.types import Cloud
+
+POINTS = np.random.default_rng(1).normal(size=(40, 3)) * (3, 2, 1) + (5, 0, 0)
+COLORS = np.random.default_rng(2).integers(0, 256, (40, 3)) / 255
+NORMALS = POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True)
+SHORT = POINTS[:12].astype('f4')
+
+
+def ply_texts() -> list[bytes]:
+    """Text and binary PLY files with lists, further elements, both byte orders and all types."""
+    head = 'ply\nformat {} 1.0\ncomment made by hand\nobj_info none\n'
+    rows = '\n'.join(' '.join(f'{value:.4f}' for value in row) for row in SHORT)
+    plain = 'element vertex 12\nproperty float x\nproperty float y\nproperty float z\n'
+    listed = 'element vertex 12\nproperty double x\nproperty list uchar int ring\nproperty short y\nproperty float z\n'
+    faces = 'element face 2\nproperty list uchar int vertex_indices\n'
+    camera = 'element camera 1\nproperty float view\nproperty list uint uchar name\n'
+    made = [
+        (head.format('ascii') + plain + 'end_header\n' + rows + '\n').encode(),
+        (head.format('ascii') + plain + faces + 'end_header\n' + rows + '\n3 0 1 2\n4 0 1 2 3\n').encode(),
+        (head.format('ascii') + listed + 'end_header\n' + '\n'.join(f'{i} 2 7 8 {i} 0.5' for i in range(12))).encode(),
+        (head.format('ascii') + plain + 'end_header\n' + rows + '\n').replace('\n', '\r\n').encode(),
+    ]
+    for name, order in (('binary_little_endian', '<'), ('binary_big_endian', '>')):
+        start = head.format(name)
+        body = b''.join(struct.pack(order + 'dBiihf', i, 2, 1, 2, i % 7, 0.5) for i in range(12))
+        made.append(
+            (start + camera + listed + faces + 'end_header\n').encode()
+            + (struct.pack(order + 'fI3s', 1.0, 3, b'abc') + body + 2 * struct.pack(order + 'Biii', 3, 0, 1, 2))
+        )
+        ushort = 'property ushort red\nproperty ushort green\nproperty ushort blue\n'
+        body = b''.join(struct.pack(order + '3f3H', *row, 1, 2, 65535) for row in SHORT)
+        made.append((start + plain + ushort + 'end_header\n').encode() + body)
+    return made
+
+
+def pcd_texts() -> list[bytes]:
+    """Text, binary and compressed PCD files of several layouts."""
+    head = '# .PCD\nVERSION 0.7\nFIELDS {}\nSIZE {}\nTYPE {}\nCOUNT {}\nWIDTH 12\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n'
+    plain = head.format('x y z', '4 4 4', 'F F F', '1 1 1')
+    odd = head.format('normal_x Z _ y X rgb', '4 8 1 2 4 4', 'F F U I F U', '1 1 3 1 1 1')
+    rows = '\n'.join(' '.join(f'{value:.4f}' for value in row) for row in SHORT)
+    body = b''.join(struct.pack('<fd3BhfI', 0.0, row[2], 0, 0, 0, 7, row[0], 0x102030) for row in SHORT)
+    planes = np.ascontiguousarray(SHORT.T, '<f4').tobytes()
+    packed = b''.join(bytes([len(planes[i : i + 32]) - 1]) + planes[i : i + 32] for i in range(0, len(planes), 32))
+    packed = packed[: -len(planes[128:]) - 1] + bytes([15]) + planes[128:]  # one literal run less long than 32
+    return [
+        (plain + 'POINTS 12\nDATA ascii\n' + rows + '\n').encode(),
+        (odd + 'DATA binary\n').encode() + body,
+        (plain + 'POINTS 12\nDATA binary_compressed\n').encode() + struct.pack('<II', len(packed), 144) + packed,
+    ]
+
+
+def text_files() -> list[bytes]:
+    """Columns of text as different tools write them."""
+    rows = [' '.join(f'{value:.4f}' for value in row) + f' {i} 0 255' for i, row in enumerate(SHORT)]
+    return [
+        '\n'.join(rows).encode(),
+        ('//X Y Z R G B\n' + '\n'.join(rows)).encode(),
+        ('\ufeff12\n' + '\n'.join(rows).replace(' ', ',')).encode(),
+        (
+            '"x";"y";"z"\r\n' + '\r\n'.join(row.rsplit(' ', 3)[0].replace('.', ',').replace(' ', ';') for row in rows)
+        ).encode(),
+        ('\ufeffx\ty\tz\tr\tg\tb\n' + '\n'.join(rows).replace(' ', '\t')).encode('utf-16-le'),
+    ]
+
+
+def colmap_models() -> list[bytes]:
+    """One binary model with tracks of different lengths."""
+    points = (
+        struct.pack('<Q3d3BdQ', i, *row, 1, 2, 3, 0.5, i % 3) + (i % 3) * struct.pack('<II', 1, 2)
+        for i, row in enumerate(SHORT)
+    )
+    return [struct.pack('<Q', len(SHORT)) + b''.join(points)]
+
+
+def files(folder: Path) -> dict[str, list[bytes]]:
+    """Return the seeds of each kind of file, by the name that such a file must have."""
+    seeds = {
+        'cloud.ply': ply_texts(),
+        'cloud.pcd': pcd_texts(),
+        'cloud.xyz': text_files(),
+        'points3D.bin': colmap_models(),
+        'points3D.txt': [b'# 3D points\n' + b''.join(b'%d 1.5 2 %d 1 2 3 0.5 1 2 3 4\n' % (i, i) for i in range(12))],
+        **{f'cloud.{kind}': [] for kind in ('npy', 'npz', 'las', 'laz', 'stl', 'obj', 'glb', 'e57')},
+    }
+    for kind in ('ply', 'pcd', 'xyz', 'npy', 'npz', 'las', 'laz'):
+        for colors, normals in ((None, None), (COLORS, NORMALS)):
+            write_cloud(folder / f'seed.{kind}', POINTS, colors, normals=normals)
+            seeds[f'cloud.{kind}'].append((folder / f'seed.{kind}').read_bytes())
+    np.savez(folder / 'plain.npz', points=POINTS, names=np.array(['a', 'b']))
+    seeds['cloud.npz'].append((folder / 'plain.npz').read_bytes())
+    np.save(folder / 'frame.npy', np.asfortranarray(POINTS.reshape(4, 10, 3), 'f4'))
+    seeds['cloud.npy'].append((folder / 'frame.npy').read_bytes())
+    import trimesh
+
+    box = trimesh.creation.box((1, 2, 3))
+    for kind in ('stl', 'obj', 'glb'):
+        seeds[f'cloud.{kind}'].append(trimesh.exchange.export.export_mesh(box, None, kind))
+    seeds['cloud.stl'].append(trimesh.exchange.export.export_mesh(box, None, 'stl_ascii'))
+    return {
+        name: [each.encode() if isinstance(each, str) else each for each in found]
+        for name, found in seeds.items()
+        if found
+    }
+
+
+def bag(folder: Path, storage: str) -> dict[str, bytes]:
+    """Return the files of a bag of one source and two target clouds."""
+    clouds = [
+        ('/source', Cloud(POINTS, None, 'a', 10**18)),
+        *(('/target', Cloud(POINTS, None, 'b', 10**18 + i)) for i in range(2)),
+    ]
+    bags.write_clouds(folder / storage, clouds, storage=storage)
+    return {path.name: path.read_bytes() for path in sorted((folder / storage).iterdir())}
+
+
+def parameter_files() -> list[bytes]:
+    """The whole configuration, and the forms that a file of ROS takes."""
+    return [
+        config_yaml(profile(), NodeConfig()).encode(),
+        b'/**:\n  ros__parameters:\n    use_sim_time: true\n    icp: {iterations: 12, gates: [0.1, 1e-2]}\n'
+        b'robot:\n  csgm:\n    ros__parameters:\n      time_budget: 5\n      qos_overrides: {/source: {depth: 1}}\n',
+    ]
