@@ -251,7 +251,7 @@ def test_exports_reproduce_the_transform(result_file, capsys, tmp_path):
 
     scale, w, x, y, z, *translation = map(float, exported('colmap').split())
     made = Similarity(scale, of_quaternion(w, x, y, z), np.array(translation))
-    np.testing.assert_allclose(made.matrix, transform.matrix, rtol=1e-14)
+    np.testing.assert_allclose(made.matrix, transform.matrix, rtol=1e-14, atol=1e-15)
     rows = np.array([line.split() for line in exported('cloudcompare').splitlines()], float)
     np.testing.assert_allclose(rows, transform.matrix, rtol=1e-14, atol=1e-15)
     words = exported('ros').split('static_transform_publisher')[1].split()
