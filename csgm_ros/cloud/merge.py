@@ -10,6 +10,8 @@ from csgm_ros.cloud.voxels import voxelized
 from csgm_ros.errors import InputError
 from csgm_ros.types import Cloud
 
+FINEST = 1e-5  # of the radius: cells that the voxel grid can number
+
 
 def merge(clouds: Sequence[Cloud], voxel_size: float) -> Cloud:
     """Merge clouds of one frame; the mean of each occupied voxel stays, of points and of colours.
@@ -50,7 +52,7 @@ def average_voxels(
     points: np.ndarray, colors: np.ndarray | None, voxel_size: float
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the mean point and colour of each occupied voxel; ``voxel_size`` relative to the radius."""
-    edge = voxel_size * float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).max()))
+    edge = max(voxel_size, FINEST) * float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).max()))
     if edge == 0.0:
         return points[:1], None if colors is None else colors[:1]
     merged, voxel = voxelized(points, edge)
