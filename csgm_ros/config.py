@@ -272,6 +272,12 @@ class NodeConfig(Checked):
     fixed_frame: str = param('', 'frame that accumulated clouds are moved into through TF; empty: they share a frame')
     source_window: int = param(1, 'newest messages of the source that are merged into one cloud', low=1, high=1000)
     target_window: int = param(1, 'newest messages of the target that are merged into one cloud', low=1, high=1000)
+    max_points: int = param(
+        10_000_000,
+        'points from which a message is refused, and older ones leave a window; each costs about 50 bytes to decode',
+        low=100,
+        high=2**31 - 1,
+    )
     window_voxel: float = param(
         0.002, 'edge of the voxels in which merged messages are averaged', unit=RADIUS, low=0.0, high=0.1
     )

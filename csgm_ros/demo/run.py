@@ -123,7 +123,7 @@ def _drive(say: _Narrator):
                 raise DemoError(f'the node refused: {answer.message}; its log tells why')
         say('active; waiting for both clouds')
         end = time.monotonic() + PATIENCE
-        while not all(int(client.status().values[name]['heard']) for name in ('source', 'target')):
+        while not all(int(client.status().values[name]['received']) for name in ('source', 'target')):
             if time.monotonic() > end:
                 raise DemoError(f'the node heard no clouds within {PATIENCE:g} s; does a firewall block UDP here?')
         say('both clouds heard; calling ~/register')

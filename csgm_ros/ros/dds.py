@@ -43,3 +43,14 @@ def buffer_limit() -> int:
         return int(BUFFER_LIMIT.read_text())
     except (OSError, ValueError):
         return 0
+
+
+def connection_error(error: Exception) -> str:
+    """Return in one line why ROS cannot be joined, and the remedy."""
+    reason = str(error).splitlines()[0].strip()
+    if os.environ.get('ROS_SECURITY_ENABLE', '').lower() != 'true':
+        return reason
+    return (
+        f'security (SROS 2) is on, and {reason}. The Fast DDS of the Python wheels has no security: use a ROS install '
+        'with a keystore (see the README), or unset ROS_SECURITY_ENABLE'
+    )

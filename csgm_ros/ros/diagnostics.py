@@ -26,22 +26,22 @@ def diagnostics(node, inputs: list[CloudInput], registration: Registration) -> D
 
 def registration_status(name: str, state: str, registration: Registration) -> DiagnosticStatus:
     """Return state, progress of the running job, and the last outcome."""
-    values = {'state': state, 'accepted': registration.accepted, 'rejected': registration.rejected}
-    values |= {'failed': registration.failed, **registration.last}
-    job = registration.job
+    record, job = registration.record, registration.job
+    values = {'state': state, 'accepted': record.accepted, 'rejected': record.rejected, 'failed': record.failed}
+    values |= record.last
     if job is not None:
         text = f'registering: {job.stage}, {100 * job.fraction:.0f} %, {job.seconds:.1f} s'
         values |= {'stage': job.stage, 'progress': f'{job.fraction:.2f}', 'running seconds': f'{job.seconds:.2f}'}
         return status(name, OK, text, values)
-    return status(name, registration.level, registration.text, values)
+    return status(name, record.level, record.text, values)
 
 
 def input_status(name: str, node, cloud_input: CloudInput) -> DiagnosticStatus:
     """Return counts, age and QoS of one input, and the remedy where it is silent."""
-    last = cloud_input.last_heard
+    last = cloud_input.last_received
     values = {
         'topic': cloud_input.topic,
-        'heard': cloud_input.heard,
+        'received': cloud_input.received,
         'rejected': cloud_input.rejected,
         'last error': cloud_input.last_error,
         'qos': ', '.join(cloud_input.profiles),
@@ -52,9 +52,9 @@ def input_status(name: str, node, cloud_input: CloudInput) -> DiagnosticStatus:
         return status(name, OK, f'not listening while {node.state}', values)
     if cloud_input.problem:
         return status(name, WARN, cloud_input.problem, values)
-    if cloud_input.last_error and cloud_input.heard == cloud_input.rejected:
+    if cloud_input.last_error and cloud_input.received == cloud_input.rejected:
         return status(name, ERROR, f'every message is unusable: {cloud_input.last_error}', values)
-    return status(name, OK, f'{cloud_input.heard} clouds heard', values)
+    return status(name, OK, f'{cloud_input.received} clouds received', values)
 
 
 def status(name: str, level: bytes, text: str, values: dict) -> DiagnosticStatus:

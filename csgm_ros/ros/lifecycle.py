@@ -11,20 +11,25 @@ from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
 
+from csgm_ros.errors import CsgmError
+
 
 def guarded(callback: Callable, node: Node, fallback: Any = None) -> Callable:
-    """Return ``callback`` so wrapped that an exception is logged with its traceback and ``fallback`` returned.
+    """Return ``callback`` so wrapped that an exception is logged and ``fallback`` returned.
 
-    rclpy lets an exception of any callback leave ``spin()``, which would end the node.
+    rclpy lets an exception of any callback leave ``spin()``, which would end the node. One raised on purpose is
+    one line, any other comes with its traceback.
     """
 
     @functools.wraps(callback)
     def call(*args, **kwargs):
         try:
             return callback(*args, **kwargs)
+        except CsgmError as error:
+            node.get_logger().error(str(error))
         except Exception:
             node.get_logger().error(f'{callback.__name__} failed:\n{traceback.format_exc()}')
-            return fallback() if callable(fallback) else fallback
+        return fallback() if callable(fallback) else fallback
 
     return call
 
@@ -32,8 +37,8 @@ def guarded(callback: Callable, node: Node, fallback: Any = None) -> Callable:
 class SafeLifecycleNode(LifecycleNode):
     """LifecycleNode that answers an illegal transition with a failure instead of dying of it.
 
-    rclpy 7.1 raises RCLError out of ``spin()`` when, say, an unconfigured node is activated, and swallows
-    exceptions of the transition callbacks without a word.
+    rclpy 7.1 raises RCLError out of ``spin()`` when, say, an unconfigured node is activated, swallows exceptions of
+    the transition callbacks without a word, and keeps the participant of a destroyed node alive.
     """
 
     def _LifecycleNodeMixin__change_state(self, transition_id: int) -> TransitionCallbackReturn:  # noqa: N802
@@ -44,6 +49,11 @@ class SafeLifecycleNode(LifecycleNode):
             self.get_logger().warning(f'transition {transition_id} is not possible while {state}: {error}')
             return TransitionCallbackReturn.FAILURE
 
+    def destroy_node(self) -> None:
+        """Destroy the node, its state machine too: that holds the node's handle, and with it the shared memory."""
+        super().destroy_node()
+        self._state_machine.destroy_when_not_in_use()
+
     @property
     def state(self) -> str:
         """Label of the current lifecycle state, such as ``active``."""
@@ -51,7 +61,7 @@ class SafeLifecycleNode(LifecycleNode):
 
 
 def transition(on_exception: TransitionCallbackReturn, undo: str = '') -> Callable:
-    """Decorate an ``on_*`` method: log an exception with its traceback and return ``on_exception``.
+    """Decorate an ``on_*`` method: log an exception and return ``on_exception``.
 
     ``undo`` names a method that takes back what was done up to the exception.
     """

@@ -7,7 +7,6 @@ import sys
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
@@ -17,12 +16,11 @@ from std_srvs.srv import Trigger
 
 from csgm_ros.ros.diagnostics import diagnostics
 from csgm_ros.ros.frames import Frames
-from csgm_ros.ros.inputs import CloudInput
+from csgm_ros.ros.inputs import CloudInput, Window
 from csgm_ros.ros.lifecycle import SafeLifecycleNode, guarded, transition
 from csgm_ros.ros.outputs import Outputs
 from csgm_ros.ros.parameters import Parameters
 from csgm_ros.ros.registration import Outcome, Registration, Request, describe, explain
-from csgm_ros.ros.tf import StaticTransform
 from csgm_ros.ros.worker import Job
 from csgm_ros.types import Cloud
 
@@ -37,26 +35,29 @@ class CsgmNode(SafeLifecycleNode):
         super().__init__('csgm', **kwargs)
         self._settings = Parameters(self)
         self._registration = Registration(self, self._publish)
-        windows = {name: functools.partial(self._setting, f'{name}_window') for name in ('source', 'target')}
-        self._source, self._target = (CloudInput(self, *item, self._on_cloud) for item in windows.items())
+        self._source, self._target = (
+            CloudInput(self, name, functools.partial(self._window, name), self._on_cloud)
+            for name in ('source', 'target')
+        )
         self._inputs = [self._source, self._target]
         self._outputs: Outputs | None = None
-        self._static_transform, self._frames = StaticTransform(self), Frames(self)
-        self._pairing = threading.Lock()
-        self._paired: tuple[int, int] | None = None  # clouds heard of each input at the last automatic request
+        self._frames = Frames(self)
+        self._pairing = threading.Lock()  # the two inputs are received in different threads
+        self._paired: tuple[int, int] | None = None  # clouds received of each input at the last automatic request
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         busy = ReentrantCallbackGroup()  # a waiting ~/register must not keep a second one from its answer
         self.create_service(Trigger, '~/register', self._answering(self._on_register), callback_group=busy)
         self.create_service(Trigger, '~/cancel', self._answering(self._on_cancel), callback_group=busy)
-        steady, watch = Clock(clock_type=ClockType.STEADY_TIME), MutuallyExclusiveCallbackGroup()
-        self.create_timer(0.5, guarded(self._on_watch, self), clock=steady, callback_group=watch)
+        steady, monitor = Clock(clock_type=ClockType.STEADY_TIME), MutuallyExclusiveCallbackGroup()
+        self.create_timer(0.5, guarded(self._on_monitor, self), clock=steady, callback_group=monitor)
         period = self._settings.node_config.diagnostics_period
-        self.create_timer(period, guarded(self._on_diagnostics, self), clock=steady, callback_group=watch)
+        self.create_timer(period, guarded(self._on_diagnostics, self), clock=steady, callback_group=monitor)
         if self._settings.node_config.autostart:
             self._autostart = self.create_timer(0.0, guarded(self._on_autostart, self), clock=steady)
 
-    def _setting(self, name: str) -> Any:
-        return getattr(self._settings.node_config, name)
+    def _window(self, name: str) -> Window:
+        settings = self._settings.node_config
+        return Window(getattr(settings, f'{name}_window'), settings.max_points)
 
     # Lifecycle
 
@@ -70,13 +71,17 @@ class CsgmNode(SafeLifecycleNode):
         self.get_logger().info(f'configured, profile {self._settings.config.profile}')
         return super().on_configure(state)
 
-    @transition(FAILURE, undo='_rest')
+    @transition(FAILURE, undo='_stop_work')
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Subscribe; to active, or back to inactive on FAILURE."""
         super().on_activate(state)
-        settings, self._paired = self._settings.node_config, None
+        settings = self._settings.node_config
+        with self._pairing:
+            self._paired = None
+        self._frames.open()
         if settings.fixed_frame:
             self._frames.listen()
+        self._registration.open()
         self._source.open()
         self._target.open()
         topics = f'source {self._source.topic}, target {self._target.topic}'
@@ -86,7 +91,7 @@ class CsgmNode(SafeLifecycleNode):
     @transition(ERROR)
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Unsubscribe, cancel the work, forget the clouds; to inactive."""
-        self._rest('the node was deactivated')
+        self._stop_work('the node was deactivated')
         return super().on_deactivate(state)
 
     @transition(ERROR)
@@ -98,7 +103,7 @@ class CsgmNode(SafeLifecycleNode):
     @transition(ERROR)
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop everything, from any state; to finalized."""
-        self._rest('the node was shut down')
+        self._stop_work('the node was shut down')
         self._release()
         return SUCCESS
 
@@ -106,18 +111,17 @@ class CsgmNode(SafeLifecycleNode):
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Bring everything down after a failed transition; to unconfigured, or to finalized when that fails too."""
         self.get_logger().error(f'a transition from {state.label} failed; the node is unconfigured now')
-        self._rest('a transition failed')
+        self._stop_work('a transition failed')
         self._release()
         return SUCCESS
 
-    def _rest(self, reason: str = 'the node rests') -> None:
+    def _stop_work(self, reason: str = 'the node is not active') -> None:
         for cloud_input in self._inputs:
             cloud_input.close()
         self._frames.close()
-        self._registration.cancel(reason)
+        self._registration.close(reason)
 
     def _release(self) -> None:
-        self._static_transform.destroy()
         if self._outputs is not None:
             self._outputs.destroy()
             self._outputs = None
@@ -129,7 +133,7 @@ class CsgmNode(SafeLifecycleNode):
 
     def stop(self, timeout: float) -> bool:
         """Stop without a transition, as signals do; False when a computation is still running."""
-        self._rest('the node stops')
+        self._stop_work('the node stops')
         return self._registration.stop(timeout)
 
     # Requests
@@ -138,16 +142,17 @@ class CsgmNode(SafeLifecycleNode):
         """Return the newest pair with the present parameters, or why there is none."""
         if self.state != 'active':
             return f'the node is {self.state}; configure and activate it first'
-        settings, config = self._settings.node_config, self._settings.config
+        config, settings = self._settings.current
         source, target = self._source.messages, self._target.messages
         for cloud_input, messages in ((self._source, source), (self._target, target)):
             if not messages:
                 return f'no cloud on {cloud_input.topic} yet ({cloud_input.explanation})'
-        return Request(source, target, config, settings.seed, settings.window_voxel, self._placing())
+        return Request(
+            source, target, config, settings.seed, settings.window_voxel, self._placing(settings.fixed_frame)
+        )
 
-    def _placing(self) -> Callable[[Cloud], Cloud] | None:
+    def _placing(self, fixed: str) -> Callable[[Cloud], Cloud] | None:
         """Return what moves a cloud into the fixed frame, None where there is none."""
-        fixed = self._settings.node_config.fixed_frame
         if not fixed:
             return None
 
@@ -158,13 +163,13 @@ class CsgmNode(SafeLifecycleNode):
         return place
 
     def _on_register(self) -> tuple[bool, str]:
-        job = self._registration.job
-        if job is not None:
-            return False, f'busy: {job.stage}, {job.seconds:.1f} s so far; wait, or call ~/cancel'
         request = self._request()
         if isinstance(request, str):
             return False, request
-        job = self._registration.submit(request)
+        job, ours = self._registration.submit_if_idle(request)
+        if not ours:
+            return False, f'busy: {job.stage}, {job.seconds:.1f} s so far; wait, or call ~/cancel'
+        del request  # or its clouds live until the answer
         job.done.wait()
         return answer(job)
 
@@ -187,8 +192,8 @@ class CsgmNode(SafeLifecycleNode):
         trigger = self._settings.node_config.trigger
         if trigger == 'on_request':
             return
-        with self._pairing:  # the two inputs are heard in different threads
-            counts = self._source.heard, self._target.heard
+        with self._pairing:
+            counts = self._source.received, self._target.received
             wanted = {
                 'on_first_pair': self._paired is None,
                 'on_new_source': self._paired is None or self._paired[0] != counts[0],
@@ -204,19 +209,19 @@ class CsgmNode(SafeLifecycleNode):
     def _publish(self, outcome: Outcome) -> None:
         settings = self._settings.node_config
         child = settings.child_frame or f'{outcome.source.frame_id}_scaled'
-        if self._outputs is not None:
-            transform = self._outputs.publish(outcome.result, outcome.source, outcome.target, child)
-            if settings.publish_tf:
-                self._static_transform.publish(transform)
+        outputs = self._outputs
+        if outputs is not None:
+            outputs.publish(outcome.result, outcome.source, outcome.target, child, tf=settings.publish_tf)
 
-    def _on_watch(self) -> None:
+    def _on_monitor(self) -> None:
         if self.state == 'active':
             if self._settings.node_config.fixed_frame:
                 self._frames.listen()
             for cloud_input in self._inputs:
-                cloud_input.watch(self._settings.node_config.input_timeout)
-        if self._outputs is not None:
-            self._outputs.publish_graphs()
+                cloud_input.monitor(self._settings.node_config.input_timeout)
+        outputs = self._outputs
+        if outputs is not None:
+            outputs.publish_graphs()
 
     def _on_diagnostics(self) -> None:
         self._diagnostics.publish(diagnostics(self, self._inputs, self._registration))

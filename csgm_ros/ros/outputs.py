@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 from geometry_msgs.msg import TransformStamped
 from rclpy.lifecycle import LifecycleNode
@@ -12,6 +14,7 @@ from visualization_msgs.msg import MarkerArray
 from csgm_ros.ros.cloud_msgs import cloud_message, header, matrix_message, transform_message
 from csgm_ros.ros.markers import graph_markers
 from csgm_ros.ros.qos import LATCHED
+from csgm_ros.ros.tf import StaticTransform
 from csgm_ros.types import Cloud, RegistrationResult
 
 TOPICS = {
@@ -27,51 +30,79 @@ TARGET_ID, SOURCE_ID = 0, 1
 
 
 class Outputs:
-    """The latched publishers of one configured node."""
+    """The latched publishers of one configured node.
+
+    It owns them, and the markers that wait for a listener; it publishes and takes them down under its lock alone.
+    """
 
     def __init__(self, node: LifecycleNode):
         self._node = node
+        self._lock = threading.Lock()
         self._publishers = {
             name: node.create_lifecycle_publisher(kind, f'~/{name}', LATCHED) for name, kind in TOPICS.items()
         }
+        self._static_transform = StaticTransform(node)
         self._pending_graphs: tuple[RegistrationResult, Header] | None = None
 
     def destroy(self) -> None:
         """Take the publishers down; latched results are gone."""
-        for publisher in self._publishers.values():
-            self._node.destroy_lifecycle_publisher(publisher)
-        self._publishers = {}
+        with self._lock:
+            for publisher in self._publishers.values():
+                self._node.destroy_lifecycle_publisher(publisher)
+            self._publishers, self._pending_graphs = {}, None
+            self._static_transform.destroy()
 
-    def publish(self, result: RegistrationResult, source: Cloud, target: Cloud, child_frame: str) -> TransformStamped:
-        """Publish an accepted result; every message describes the same pair, stamped with the later cloud's stamp."""
+    def publish(
+        self, result: RegistrationResult, source: Cloud, target: Cloud, child_frame: str, *, tf: bool = False
+    ) -> None:
+        """Publish an accepted result; every message describes the same pair, stamped with the later cloud's stamp.
+
+        Parameters
+        ----------
+        result : RegistrationResult
+        source, target : Cloud
+            What was registered.
+        child_frame : str
+            Frame of the scaled source.
+        tf : bool
+            Send the rigid part to /tf_static as well.
+        """
         head = header(target.frame_id, max(source.stamp, target.stamp))
-        transform = transform_message(head, child_frame, result.transform)
+        messages = self._messages(result, source, target, head, child_frame)
+        with self._lock:
+            if not self._publishers:
+                return  # the node was cleaned up meanwhile
+            for name, message in messages.items():
+                self._publishers[name].publish(message)
+            if tf:
+                self._static_transform.publish(messages['transform'])
+            self._pending_graphs = (result, head)
+        self.publish_graphs()
+
+    @staticmethod
+    def _messages(result: RegistrationResult, source: Cloud, target: Cloud, head: Header, child_frame: str) -> dict:
         aligned = result.transform.apply(source.points)
         source_colors, target_colors = colors_of(source, SOURCE_COLOR), colors_of(target, TARGET_COLOR)
-        fused = cloud_message(
-            head,
-            np.concatenate([target.points, aligned]),
-            np.concatenate([target_colors, source_colors]),
-            np.repeat(np.array([TARGET_ID, SOURCE_ID], np.uint8), [len(target.points), len(aligned)]),
-        )
-        for name, message in (
-            ('fused', fused),
-            ('aligned', cloud_message(head, aligned, source_colors)),
-            ('scale', Float64(data=float(result.scale))),
-            ('similarity', matrix_message(result.T_target_source)),
-            ('transform', transform),
-        ):
-            self._publishers[name].publish(message)
-        self._pending_graphs = (result, head)
-        self.publish_graphs()
-        return transform
+        return {
+            'fused': cloud_message(
+                head,
+                np.concatenate([target.points, aligned]),
+                np.concatenate([target_colors, source_colors]),
+                np.repeat(np.array([TARGET_ID, SOURCE_ID], np.uint8), [len(target.points), len(aligned)]),
+            ),
+            'aligned': cloud_message(head, aligned, source_colors),
+            'scale': Float64(data=float(result.scale)),
+            'similarity': matrix_message(result.T_target_source),
+            'transform': transform_message(head, child_frame, result.transform),
+        }
 
     def publish_graphs(self) -> None:
         """Publish the markers of the last result once somebody listens; they are costly and often unwatched."""
-        pending, publisher = self._pending_graphs, self._publishers.get('graphs')
-        if pending is not None and publisher is not None and publisher.get_subscription_count() > 0:
-            self._pending_graphs = None
-            publisher.publish(graph_markers(*pending))
+        with self._lock:
+            pending, publisher = self._pending_graphs, self._publishers.get('graphs')
+            if pending is not None and publisher is not None and publisher.get_subscription_count() > 0:
+                self._pending_graphs = None
+                publisher.publish(graph_markers(*pending))
 
 
 def colors_of(cloud: Cloud, fallback: tuple[int, int, int]) -> np.ndarray:

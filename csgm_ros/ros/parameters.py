@@ -49,12 +49,12 @@ def descriptor(name: str, spec: Field, value: Any) -> ParameterDescriptor:
 class Parameters:
     """Declares every parameter on ``node`` and keeps the two configurations made of them.
 
+    It owns both, and replaces them at once.
+
     Attributes
     ----------
-    config : Config
-        What the next registration uses.
-    node_config : NodeConfig
-        What the node itself uses.
+    current : (Config, NodeConfig)
+        What the next registration uses, and what the node itself uses.
 
     Raises
     ------
@@ -64,19 +64,31 @@ class Parameters:
 
     def __init__(self, node: Node):
         self._node = node
-        self.node_config = NodeConfig()
+        node._parameter_overrides.update(widened(node))
         self._types: dict[str, int] = {}
         self._declare('profile', configuration.parameter_fields(configuration.Config)['profile'], 'robust')
-        self.config = configuration.profile(node.get_parameter('profile').value)
-        for part in (self.config, self.node_config):
+        self.current = configuration.profile(node.get_parameter('profile').value), NodeConfig()
+        for part in self.current:
             fields = configuration.parameter_fields(type(part))
             for name, value in configuration.flatten(part).items():
                 if name != 'profile':
                     self._declare(name, fields[name], value)
-        self.config, self.node_config = self._parts({name: node.get_parameter(name).value for name in self._types})
+        self.current = self._parts({name: node.get_parameter(name).value for name in self._types})
+        for line in unknown(node):
+            node.get_logger().warning(line)
         node.add_pre_set_parameters_callback(self._widen)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
+
+    @property
+    def config(self) -> Config:
+        """What the next registration uses."""
+        return self.current[0]
+
+    @property
+    def node_config(self) -> NodeConfig:
+        """What the node itself uses."""
+        return self.current[1]
 
     def _declare(self, name: str, spec: Field, value: Any) -> None:
         described = descriptor(name, spec, value)
@@ -96,13 +108,7 @@ class Parameters:
 
     def _widen(self, parameters: list[Parameter]) -> list[Parameter]:
         """Let ``ros2 param set`` write 1 where 1.0 is meant."""
-        return [
-            Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))
-            if parameter.type_ == Parameter.Type.INTEGER
-            and self._types.get(parameter.name) == Parameter.Type.DOUBLE.value
-            else parameter
-            for parameter in parameters
-        ]
+        return [as_double(each, self._types.get(each.name, 0)) for each in parameters]
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
@@ -112,4 +118,35 @@ class Parameters:
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters: list[Parameter]) -> None:
-        self.config, self.node_config = self._parts(self._ours(parameters))
+        self.current = self._parts(self._ours(parameters))
+
+
+def as_double(parameter: Parameter, kind: int) -> Parameter:
+    """Return an integer, or integers, as the type that is declared where that is a double, or doubles."""
+    if kind == Parameter.Type.DOUBLE.value and parameter.type_ == Parameter.Type.INTEGER:
+        return Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))
+    if kind == Parameter.Type.DOUBLE_ARRAY.value and parameter.type_ == Parameter.Type.INTEGER_ARRAY:
+        return Parameter(parameter.name, Parameter.Type.DOUBLE_ARRAY, [float(value) for value in parameter.value])
+    return parameter
+
+
+def widened(node: Node) -> dict[str, Parameter]:
+    """Return the start-up values (files, command line) with integers as doubles where those are meant."""
+    kinds = {
+        name: Parameter.Type.from_parameter_value(value).value
+        for part in (Config(), NodeConfig())
+        for name, value in configuration.flatten(part).items()
+    }
+    return {name: as_double(each, kinds.get(name, 0)) for name, each in node._parameter_overrides.items()}
+
+
+def unknown(node: Node) -> list[str]:
+    """Return one line for each start-up value that nobody declared, which ROS leaves out without a word."""
+    lines = []
+    for name in node._parameter_overrides:
+        if not node.has_parameter(name) and not name.startswith('qos_overrides.'):
+            try:
+                configuration.replaced(Config(), {name: None})
+            except ConfigError as error:  # says what it is called, where it is an earlier name
+                lines.append(f'a start-up parameter is left out: {error}')
+    return lines

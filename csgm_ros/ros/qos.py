@@ -12,7 +12,8 @@ from csgm_ros.errors import ConfigError
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 POLICIES = {'reliability': ReliabilityPolicy, 'durability': DurabilityPolicy, 'history': HistoryPolicy}
-DEFAULTS = {'reliability': 'best_available', 'durability': 'best_available', 'history': 'keep_last', 'depth': 1}
+# With a depth of 1, clouds of a publisher that catches up are lost, and so are those that come while Python is busy.
+DEFAULTS = {'reliability': 'best_available', 'durability': 'best_available', 'history': 'keep_last', 'depth': 5}
 
 
 def declare_overrides(node: Node, topic: str) -> dict:

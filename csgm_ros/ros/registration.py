@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
+import threading
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -44,29 +46,49 @@ class Outcome:
     decode_seconds: float
 
 
-class Registration:
-    """Runs requests in the worker and keeps what is to be said about them.
+@dataclass(frozen=True)
+class Record:
+    """What is to be said of the registrations so far.
 
     Attributes
     ----------
     accepted, rejected, failed : int
-        Registrations so far by their end.
-    last : dict
-        Facts about the last one, for diagnostics.
+        Registrations by their end.
     level, text : bytes, str
-        The same as a diagnostic level and one line.
+        The last one as a diagnostic level and one line.
+    last : dict
+        Facts about it, for diagnostics.
+    """
+
+    accepted: int = 0
+    rejected: int = 0
+    failed: int = 0
+    level: bytes = DiagnosticStatus.OK
+    text: str = 'no registration yet'
+    last: dict[str, Any] = field(default_factory=dict)
+
+
+class Registration:
+    """Runs requests in the worker and keeps what is to be said about them.
+
+    It owns the record, and replaces it as a whole under its lock alone; the worker owns the jobs.
     """
 
     def __init__(self, node: Node, publish: Callable[[Outcome], None]):
         self._node, self._publish = node, publish
         self._worker = Worker()
-        self.forget()
+        self._lock = threading.Lock()
+        self._record = Record()
+
+    @property
+    def record(self) -> Record:
+        """What is to be said now."""
+        return self._record
 
     def forget(self) -> None:
         """Forget what was registered so far."""
-        self.accepted = self.rejected = self.failed = 0
-        self.last: dict[str, Any] = {}
-        self.level, self.text = DiagnosticStatus.OK, 'no registration yet'
+        with self._lock:
+            self._record = Record()
 
     @property
     def job(self) -> Job | None:
@@ -75,54 +97,73 @@ class Registration:
 
     def submit(self, request: Request) -> Job:
         """Queue a request in place of one that still waits."""
-        return self._worker.submit(lambda progress: run(request, progress), guarded(self._deliver, self._node))
+        return self._worker.submit(*self._work(request))
+
+    def submit_if_idle(self, request: Request) -> tuple[Job, bool]:
+        """Queue a request and return its job with True; with a job in its way, return that one with False."""
+        return self._worker.submit_if_idle(*self._work(request))
+
+    def _work(self, request: Request) -> tuple[Callable, Callable]:
+        return functools.partial(run, request), guarded(self._deliver, self._node)
+
+    def open(self) -> None:
+        """Take requests."""
+        self._worker.open()
+
+    def close(self, reason: str) -> None:
+        """Cancel what runs and waits, and take no more requests."""
+        self._note_cancelled(self._worker.close(reason), reason)
 
     def cancel(self, reason: str) -> bool:
         """Cancel what runs and waits; False when nothing does."""
         cancelled = self._worker.cancel(reason)
-        if cancelled:
-            self.level, self.text = DiagnosticStatus.WARN, f'cancelled: {reason}'
-            self._node.get_logger().info(self.text)
+        self._note_cancelled(cancelled, reason)
         return cancelled
 
     def stop(self, timeout: float) -> bool:
         """End the worker; False when its thread is still inside a computation."""
         return self._worker.stop(timeout)
 
+    def _note_cancelled(self, cancelled: bool, reason: str) -> None:
+        if cancelled:
+            self._note(level=DiagnosticStatus.WARN, text=f'cancelled: {reason}')
+            self._node.get_logger().info(f'cancelled: {reason}')
+
+    def _note(self, *, count: str = '', **news: Any) -> None:
+        with self._lock:
+            if count:
+                news[count] = getattr(self._record, count) + 1
+            self._record = replace(self._record, **news)
+
     def _deliver(self, job: Job) -> None:
-        if job.error is not None:
-            self._note_failure(job)
-            return
-        outcome: Outcome = job.result
+        outcome: Outcome | None = job.result
         try:
-            if outcome.result.accepted:
+            if outcome is not None and outcome.result.accepted:
                 self._publish(outcome)
         except Exception as error:
             job.error = error
-            self._note_failure(job)
-            return
-        self._note(outcome)
+        if job.error is not None:
+            self._note_failure(job.error)
+        elif outcome is not None:
+            self._note_result(outcome)
 
-    def _note(self, outcome: Outcome) -> None:
-        result = outcome.result
-        self.accepted += result.accepted
-        self.rejected += not result.accepted
-        self.text = describe(result)
-        self.level = DiagnosticStatus.OK if result.accepted else DiagnosticStatus.WARN
-        self.last = facts(outcome)
+    def _note_result(self, outcome: Outcome) -> None:
+        accepted, text = outcome.result.accepted, describe(outcome.result)
+        level = DiagnosticStatus.OK if accepted else DiagnosticStatus.WARN
+        self._note(count='accepted' if accepted else 'rejected', level=level, text=text, last=facts(outcome))
         log = self._node.get_logger()
-        if result.accepted:
-            log.info(self.text)
+        if accepted:
+            log.info(text)
         else:
-            log.warning(self.text)
+            log.warning(text)
 
-    def _note_failure(self, job: Job) -> None:
-        self.failed += 1
-        self.level, self.text = DiagnosticStatus.ERROR, explain(job.error)
-        self.last = {'verdict': 'failed', 'reason': self.text}
-        expected = isinstance(job.error, CsgmError)
-        detail = '' if expected else '\n' + ''.join(traceback.format_exception(job.error))
-        self._node.get_logger().error(self.text + detail)
+    def _note_failure(self, error: BaseException) -> None:
+        text = explain(error)
+        last = {'verdict': 'failed', 'reason': text}
+        self._note(count='failed', level=DiagnosticStatus.ERROR, text=text, last=last)
+        expected = isinstance(error, (CsgmError, MemoryError))
+        detail = '' if expected else '\n' + ''.join(traceback.format_exception(error))
+        self._node.get_logger().error(text + detail)
 
 
 def run(request: Request, progress: Callable[[str, float], None]) -> Outcome:
@@ -161,6 +202,8 @@ def explain(error: BaseException) -> str:
         return f'cancelled: {error}'
     if isinstance(error, CsgmError):
         return f'failed: {error}'
+    if isinstance(error, MemoryError):
+        return 'failed: out of memory; send fewer points, or lower max_points and the windows'
     return f'failed: internal error, {type(error).__name__}: {error}; the traceback is in the log'
 
 

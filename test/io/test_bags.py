@@ -111,7 +111,7 @@ class TestReplay:
             process.kill()
 
     def test_offline_and_live_give_the_same_result(self, bag, active, ros, play):
-        from ros_helpers.scene import wait_heard
+        from ros_helpers.scene import wait_received
         from std_msgs.msg import Float64MultiArray
 
         assert active.set_parameters({'seed': 11}).success
@@ -119,7 +119,7 @@ class TestReplay:
         player.wait_log('played /source 1, /target 5')
         print(player.log.strip())
         assert player.wait() == 0
-        wait_heard(active, 1, 5)
+        wait_received(active, 1, 5)
         assert active.register().success
         live = np.array(ros.listen('/csgm/similarity', Float64MultiArray).wait().data).reshape(4, 4)
         source, target = bags.read_clouds(bag, '/colmap/map', '/camera/points')
@@ -176,7 +176,7 @@ class TestReplay:
         assert 'Traceback' not in player.log
 
     def test_real_kinect_frames_and_sfm_map(self, tmp_path, active, ros, play, shared):
-        from ros_helpers.scene import wait_heard
+        from ros_helpers.scene import wait_received
 
         from csgm_ros.io.files import read_cloud
 
@@ -190,11 +190,11 @@ class TestReplay:
         bags.write_clouds(tmp_path / 'bag', clouds, latched=['/map'])
         player = play(tmp_path / 'bag', '--source-topic', '/map', '--target-topic', '/points')
         player.wait_log('played')
-        wait_heard(active, 1, 10)
+        wait_received(active, 1, 10)
         status = active.status().values
         assert status['target']['rejected'] == '0'
         answer = active.register()
         offline = csgm_ros.register(*bags.read_pair(tmp_path / 'bag', '/map', '/points'))
         print('one Kinect frame against the SfM map:', answer.message)
         assert answer.success == offline.accepted
-        assert status['target']['heard'] == '10'
+        assert status['target']['received'] == '10'

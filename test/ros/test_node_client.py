@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from ros_helpers.scene import send_pair, wait_heard
+from ros_helpers.scene import send_pair, wait_received
 
 from csgm_ros.ros.client import commands as calls
 
@@ -29,7 +29,7 @@ def test_a_whole_session(node, client, ros):
     assert code == 1
     assert 'the node is active' in said
     kept = send_pair(ros)
-    wait_heard(client)
+    wait_received(client)
     code, said, _ = csgm('call', 'register')
     assert code == 0
     assert said.startswith('accepted: scale ')

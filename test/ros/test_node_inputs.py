@@ -8,7 +8,7 @@ pytest.importorskip('rclpy')
 from ros_helpers.clouds import easy_pair
 from ros_helpers.peer import BEST_EFFORT, LATCHED, RELIABLE
 from ros_helpers.process import NodeProcess, Process
-from ros_helpers.scene import SLOW, heard, send_pair, wait_heard
+from ros_helpers.scene import SLOW, received, send_pair, wait_received
 from ros_helpers.waiting import until
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import String
@@ -51,20 +51,20 @@ def test_every_offer_is_heard_as_well_as_it_can_be(active, ros, offered, expecte
     until(lambda: qos_of(active, 'source') == expected, expected)
     until(lambda: publisher.get_subscription_count() == 1, 'one subscription')
     publisher.publish(cloud())
-    wait_heard(active, 1, 0)
-    assert heard(active, 'source') == 1
+    wait_received(active, 1, 0)
+    assert received(active, 'source') == 1
 
 
 def test_publishers_of_different_qos_on_one_topic_are_all_heard_once(active, ros):
     publishers = [ros.publisher('/source', qos) for qos in (BEST_EFFORT, RELIABLE)]
     latched = ros.send('/source', cloud(), LATCHED)  # sent before anybody subscribes with its durability
-    wait_heard(active, 1, 0)
+    wait_received(active, 1, 0)
     until(lambda: 'transient_local' in qos_of(active, 'source'), 'a latched subscription')
     for count, publisher in enumerate([*publishers, latched], start=2):
         until(publisher.get_subscription_count, 'a subscription')
         publisher.publish(cloud())
-        wait_heard(active, count, 0)
-    assert heard(active, 'source') == 4
+        wait_received(active, count, 0)
+    assert received(active, 'source') == 4
 
 
 def test_qos_can_be_fixed_and_the_mismatch_is_explained(ros):
@@ -95,7 +95,7 @@ def test_silence_is_explained_with_a_remedy(active, ros):
     mute = ros.publisher('/source', BEST_EFFORT)
     until(lambda: 'net.core.rmem_max' in said(active, 'source'), 'lost clouds')
     mute.publish(cloud())
-    until(lambda: said(active, 'source') == '1 clouds heard', 'all well')
+    until(lambda: said(active, 'source') == '1 clouds received', 'all well')
     assert wrong
     assert elsewhere
 
@@ -113,7 +113,7 @@ def test_unusable_messages_are_counted_and_answered(active, ros):
     answer = active.register()
     assert 'last message unusable: ' in answer.message
     send_pair(ros)
-    wait_heard(active, 1, 1)
+    wait_received(active, 1, 1)
     publisher.publish(next(iter(unusable())))  # does not replace the good one
     until(lambda: rejected(active) == count + 1, 'one more rejected')
     assert active.register().success
@@ -148,9 +148,9 @@ def test_cloud_that_cannot_be_registered_is_answered(active, ros):
         (np.zeros((2, 3)), 'failed: '),
         (np.linspace(0, 1, 500)[:, None] * np.ones(3), 'failed: '),
     ):
-        before = [heard(active, name) for name in ('source', 'target')]
+        before = [received(active, name) for name in ('source', 'target')]
         kept = send_pair(ros, (points, easy_pair()[1]))
-        wait_heard(active, *(count + 1 for count in before))
+        wait_received(active, *(count + 1 for count in before))
         answer = active.register()
         assert not answer.success
         assert complaint in answer.message
@@ -161,13 +161,13 @@ def test_cloud_that_cannot_be_registered_is_answered(active, ros):
 def test_publisher_that_is_killed_is_noticed_and_replaced(node, active, ros, sensors):
     assert active.set_parameters({'input_timeout': 1.0}).success
     sensor = sensors('/source')
-    wait_heard(active, 3, 0)
+    wait_received(active, 3, 0)
     sensor.kill()
-    until(lambda: 'nothing heard for' in said(active, 'source') or 'no publisher' in said(active, 'source'), 'silence')
-    before = heard(active, 'source')
+    until(lambda: said(active, 'source').startswith(('/source has 1', 'no publisher')), 'silence')
+    before = received(active, 'source')
     sensors('/source')
-    wait_heard(active, before + 3, 0)
-    until(lambda: said(active, 'source').endswith('clouds heard'), 'all well')
+    wait_received(active, before + 3, 0)
+    until(lambda: said(active, 'source').endswith('clouds received'), 'all well')
     assert 'clouds on /source again' in node.log
 
 
@@ -175,11 +175,11 @@ def test_large_best_effort_clouds_arrive_with_the_shipped_profile(active, sensor
     """5 MB at 10 Hz for 5 s; the node selects the profile itself, so the sensor may have any transports."""
     figures = {}
     for name, profile in (('default transports', ''), ('shipped profile', 'config/fastdds.xml')):
-        before = heard(active, 'source')
+        before = received(active, 'source')
         env = {'FASTRTPS_DEFAULT_PROFILES_FILE': str(NodeProcess.ROOT / profile)} if profile else {}
         sensor = sensors('/source', '--points', 320_000, '--count', 50, env=env)
         sensor.wait_log('"sent"')
-        arrived = settled(lambda before=before: heard(active, 'source') - before)
+        arrived = settled(lambda before=before: received(active, 'source') - before)
         figures[name] = f'{arrived} of 50 heard'
         sensor.end()
     delay = active.status().values['source']['longest delay ms']
@@ -201,14 +201,14 @@ def settled(count):
 
 def test_clouds_are_heard_while_a_registration_runs(active, ros, sensors):
     send_pair(ros)
-    wait_heard(active)
+    wait_received(active)
     assert active.set_parameters(SLOW).success
     sensor = sensors('/target', '--points', 20_000, '--rate', 30, '--reliable')
     sensor.wait_log('matched')
     future = ask_register(ros)
     until(lambda: 'stage' in active.status().values['registration'] or future.done(), 'a registration to run')
-    before = heard(active, 'target')
-    until(lambda: heard(active, 'target') > before + 30, 'clouds meanwhile')
+    before = received(active, 'target')
+    until(lambda: received(active, 'target') > before + 30, 'clouds meanwhile')
     values = active.status().values
     print(f'while registering: {values["target"]["heard"]} clouds, delay {values["target"]["longest delay ms"]} ms')
     active.cancel()
@@ -227,12 +227,12 @@ def test_windows_merge_the_newest_messages(active, ros):
     assert active.set_parameters({'target_window': 3, 'window_voxel': 0.0}).success
     source, target, _ = easy_pair()
     kept = send_pair(ros, (source, target[:100]))
-    wait_heard(active)
+    wait_received(active)
     publisher = ros.publisher('/target')
     until(publisher.get_subscription_count, 'a subscription')
     for count, part in enumerate((target[0::3], target[1::3], target[2::3]), start=2):
         publisher.publish(cloud(part))
-        wait_heard(active, 1, count)
+        wait_received(active, 1, count)
     assert active.register().success
     fused = ros.listen('/csgm/fused', PointCloud2).wait()
     assert fused.width == len(source) + len(target)

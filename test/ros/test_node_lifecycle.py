@@ -6,7 +6,7 @@ pytest.importorskip('rclpy')
 
 from ros_helpers.clouds import easy_pair
 from ros_helpers.process import NodeProcess
-from ros_helpers.scene import heard, wait_heard
+from ros_helpers.scene import received, wait_received
 from ros_helpers.waiting import until
 
 from csgm_ros.ros.client.commands import Client
@@ -23,7 +23,7 @@ def test_round_trips_leave_nothing_behind(node, client, ros):
     for _ in range(4):
         assert client.configure().success
         assert client.activate().success
-        wait_heard(client)
+        wait_received(client)
         assert client.register().success
         assert client.deactivate().success
         assert client.cleanup().success
@@ -63,13 +63,13 @@ def test_inactive_node_hears_nothing(client, ros):
     assert client.configure().success
     ros.send('/source', cloud_message(header('sfm', 0), source))
     ros.send('/target', cloud_message(header('camera', 0), target))
-    assert heard(client, 'source') == 0
+    assert received(client, 'source') == 0
     assert client.activate().success
-    wait_heard(client)
+    wait_received(client)
     assert client.deactivate().success
     assert client.activate().success
-    wait_heard(client)  # latched clouds come again; the old ones were forgotten
-    assert client.status().values['source']['heard'] == '1'
+    wait_received(client)  # latched clouds come again; the old ones were forgotten
+    assert client.status().values['source']['received'] == '1'
 
 
 def test_autostart_needs_no_manager(ros):

@@ -16,7 +16,7 @@ from geometry_msgs.msg import TransformStamped
 from ros_helpers.clouds import displacement, easy_pair
 from ros_helpers.peer import RELIABLE
 from ros_helpers.process import NodeProcess
-from ros_helpers.scene import SLOW, TARGET_STAMP, send_pair, wait_heard
+from ros_helpers.scene import SLOW, TARGET_STAMP, send_pair, wait_received
 from ros_helpers.waiting import until
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
@@ -57,7 +57,7 @@ def test_signals_end_the_process_in_a_second_with_code_0(start, ros, number, whe
             assert client.configure().success
             assert client.activate().success
             kept = send_pair(ros, space='/ending')
-            wait_heard(client)
+            wait_received(client)
             diagnostics = ros.listen('/diagnostics', DiagnosticArray, RELIABLE)
             thread = background(client.register)
             until(lambda: any('registering:' in each.message for said in diagnostics for each in said.status), 'work')
@@ -114,7 +114,7 @@ def test_simulated_time_governs_stamps(start, ros):
     with Client('/simulated/csgm') as client:
         until(lambda: client.state() == 'active', 'the node to start itself', 180.0)
         kept = send_pair(ros, space='/simulated')
-        wait_heard(client)  # timers that watch run although time stands still
+        wait_received(client)  # timers that watch run although time stands still
 
         def told():
             clock.publish(Clock(clock=Time(sec=100, nanosec=0)))
@@ -152,7 +152,7 @@ def test_clouds_of_a_moving_sensor_are_merged_in_a_fixed_frame(start, ros):
             part = target[count - 1 :: 2]
             seen = pose.inverse().apply(part) - [0.0, 0.0, 0.1]
             publisher.publish(cloud_message(header('camera', stamp), seen))
-            wait_heard(client, 1, count)
+            wait_received(client, 1, count)
         answer = client.register()
         assert answer.success, answer.message
         fused = ros.listen('/moving/csgm/fused', PointCloud2).wait()
@@ -163,8 +163,8 @@ def test_clouds_of_a_moving_sensor_are_merged_in_a_fixed_frame(start, ros):
         assert displacement(Similarity.from_matrix(np.array(matrix).reshape(4, 4)), truth, source) < 0.02
 
         publisher.publish(cloud_message(header('camera', 99 * 10**9), target))
-        wait_heard(client, 1, 3)
-        assert 'off the transforms heard' in client.register().message
+        wait_received(client, 1, 3)
+        assert 'off the transforms received' in client.register().message
         assert client.set_parameters({'fixed_frame': 'odom'}).success
         assert 'TF does not connect camera with odom' in client.register().message
     assert kept
@@ -177,7 +177,7 @@ def test_missing_tf_is_said_once_and_the_rest_works(ros):
             assert client.configure().success
             assert client.activate().success
             kept = send_pair(ros, space='/bare')
-            wait_heard(client)
+            wait_received(client)
             assert client.register().success
             assert client.register().success
             assert client.set_parameters({'fixed_frame': 'map'}).success

@@ -11,7 +11,7 @@ pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import TransformStamped
 from ros_helpers.clouds import displacement, easy_pair, unrelated_pair
-from ros_helpers.scene import QUICK, SLOW, SOURCE_STAMP, TARGET_STAMP, send_pair, wait_heard
+from ros_helpers.scene import QUICK, SLOW, SOURCE_STAMP, TARGET_STAMP, send_pair, wait_received
 from ros_helpers.waiting import until
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64, Float64MultiArray
@@ -37,7 +37,7 @@ def transform_of(message):
 def test_outputs_are_right_and_consistent_and_kept_for_late_joiners(active, ros):
     source, target, truth = easy_pair()
     send_pair(ros)
-    wait_heard(active)
+    wait_received(active)
     answer = active.register()
     assert answer.success, answer.message
     assert answer.message.startswith('accepted: scale ')
@@ -75,7 +75,7 @@ def test_outputs_are_right_and_consistent_and_kept_for_late_joiners(active, ros)
 def test_node_gives_what_the_function_gives(active, ros):
     source, target, _ = easy_pair()
     send_pair(ros)
-    wait_heard(active)
+    wait_received(active)
     assert active.set_parameters({'seed': 7, 'icp.iterations': 12}).success
     assert active.register().success
     heard = np.array(ros.listen('/csgm/similarity', Float64MultiArray).wait().data).reshape(4, 4)
@@ -93,7 +93,7 @@ def test_rejected_result_publishes_nothing_and_says_so(active, ros):
         lambda: all(ros.node.count_publishers(f'/csgm/{name}') for name in ('transform', 'scale', 'fused')), 'outputs'
     )
     send_pair(ros, unrelated_pair())
-    wait_heard(active)
+    wait_received(active)
     answer = active.register()
     assert not answer.success
     assert answer.message.startswith('rejected: ')
@@ -103,7 +103,7 @@ def test_rejected_result_publishes_nothing_and_says_so(active, ros):
     assert not any(inboxes)
 
     send_pair(ros)  # and an accepted one afterwards arrives, so the inboxes were listening
-    wait_heard(active, 2, 2)
+    wait_received(active, 2, 2)
     assert active.register().success
     for inbox in inboxes:
         inbox.wait()
@@ -112,7 +112,7 @@ def test_rejected_result_publishes_nothing_and_says_so(active, ros):
 
 def test_trigger_while_busy_is_answered_at_once_and_cancel_ends_it(active, ros):
     send_pair(ros)
-    wait_heard(active)
+    wait_received(active)
     assert active.set_parameters(SLOW).success
     first, thread = registering(active)
     busy = active.register(timeout=10)
@@ -132,7 +132,7 @@ def test_trigger_while_busy_is_answered_at_once_and_cancel_ends_it(active, ros):
 
 def test_deactivation_cancels(active, ros):
     send_pair(ros)
-    wait_heard(active)
+    wait_received(active)
     assert active.set_parameters(SLOW).success
     first, thread = registering(active)
     assert active.deactivate().success
@@ -156,7 +156,7 @@ def registering(client):
 
 def test_progress_and_timings_are_in_diagnostics(active, ros):
     send_pair(ros)
-    wait_heard(active)
+    wait_received(active)
     assert active.set_parameters(SLOW).success
     _, thread = registering(active)
     values = active.status().values['registration']
@@ -175,7 +175,7 @@ def test_progress_and_timings_are_in_diagnostics(active, ros):
 
 def test_graphs_are_published_once_somebody_looks(active, ros):
     send_pair(ros)
-    wait_heard(active)
+    wait_received(active)
     assert active.register().success
     markers = ros.listen('/csgm/graphs', MarkerArray).wait().markers
     assert markers[0].action == Marker.DELETEALL
@@ -189,7 +189,7 @@ def test_graphs_are_published_once_somebody_looks(active, ros):
 
 def test_latency_from_trigger_to_latched_result(active, ros):
     send_pair(ros)
-    wait_heard(active)
+    wait_received(active)
     inbox = ros.listen('/csgm/transform', TransformStamped)
     figures = []
     for count in range(1, 4):
@@ -206,7 +206,7 @@ def test_tf_is_sent_again_with_every_result(active, ros):
     tf2 = pytest.importorskip('tf2_msgs.msg', reason='test/build_tf2_msgs.sh was not run')
     assert active.set_parameters({'publish_tf': True, 'child_frame': 'sfm_metric'}).success
     send_pair(ros)
-    wait_heard(active)
+    wait_received(active)
     assert active.register().success
     inbox = ros.listen('/tf_static', tf2.TFMessage)
     first = inbox.wait().transforms[0]
@@ -216,7 +216,7 @@ def test_tf_is_sent_again_with_every_result(active, ros):
     source, target, _ = easy_pair()
     moved = Similarity(1.0, np.eye(3), np.array([1.0, 2.0, 3.0])).apply(target)
     kept = send_pair(ros, (source, moved))
-    wait_heard(active, 2, 2)
+    wait_received(active, 2, 2)
     assert active.register().success
     second = inbox.wait(2).transforms[0]
     offset = transform_of(second).translation - transform_of(first).translation
@@ -232,7 +232,7 @@ def test_triggers_start_by_themselves(client, ros):
     kept = send_pair(ros)
     inbox.wait(1, 60.0)
     kept += send_pair(ros)
-    wait_heard(client, 2, 2)
+    wait_received(client, 2, 2)
     assert registrations(client) == '1'
 
     assert client.set_parameters({'trigger': 'on_new_source'}).success
@@ -254,7 +254,7 @@ def test_newest_pair_wins_while_one_is_registered(active, ros):
     source, target, truth = easy_pair()
     inbox = ros.listen('/csgm/similarity', Float64MultiArray)
     kept = send_pair(ros)
-    wait_heard(active)
+    wait_received(active)
     publisher = ros.publisher('/target')
     until(publisher.get_subscription_count, 'a subscription')
     for shift in range(10):
@@ -278,7 +278,7 @@ def test_real_kinect_and_sfm_pair_over_dds(active, ros, shared):
     truth = Similarity.from_matrix(np.array(json.loads((folder / 'gt.json').read_text())['sfm_to_kinect']))
     matrices = ros.listen('/csgm/similarity', Float64MultiArray)
     kept = send_pair(ros, (source, target))
-    wait_heard(active)
+    wait_received(active)
     for count in (1, 2):  # the trigger registers the same pair again
         answer = active.register()
         assert answer.success, answer.message

@@ -1,6 +1,7 @@
 """The worker: one job at a time, the newest waits, cancelling is immediate for who waits."""
 
 import threading
+import weakref
 
 import pytest
 
@@ -111,3 +112,60 @@ def test_stopped_worker_takes_no_job():
     job = submit(worker, lambda progress: 1)
     assert job.done.is_set()
     assert isinstance(job.error, Cancelled)
+
+
+def test_only_one_of_many_callers_at_once_gets_its_job_in(worker):
+    work, start, found = Held(), threading.Barrier(8), []
+
+    def ask():
+        start.wait(PATIENCE)
+        found.append(worker.submit_if_idle(work, lambda job: None))
+
+    threads = [threading.Thread(target=ask) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(PATIENCE)
+    work.gate.set()
+    assert [ours for _, ours in found].count(True) == 1
+    assert len({id(job) for job, _ in found}) == 1
+    assert found[0][0].done.wait(PATIENCE)
+
+
+def test_closed_worker_ends_what_runs_and_what_comes(worker):
+    work = Held()
+    job = submit(worker, work)
+    assert work.begun.wait(PATIENCE)
+    assert worker.close('the node is not active')
+    late = submit(worker, Held())
+    work.gate.set()
+    assert late.done.is_set()
+    assert str(late.error) == str(job.error) == 'the node is not active'
+    worker.open()
+    assert submit(worker, lambda progress: 3).done.wait(PATIENCE)
+
+
+class Heavy:
+    """Something whose end can be seen."""
+
+
+@pytest.mark.parametrize('ending', ['result', 'error', 'refused'])
+def test_a_finished_job_leaves_nothing_behind(worker, ending):
+    inputs, outputs = Heavy(), Heavy()
+    ends = [weakref.ref(each) for each in (inputs, outputs)]
+
+    def work(progress, used=inputs, made=outputs):
+        if ending == 'error':
+            raise ValueError('no good')
+        return made
+
+    def deliver(job):
+        held = job.result
+        if ending == 'refused':
+            raise RuntimeError(held)
+
+    job = worker.submit(work, deliver)
+    assert job.done.wait(PATIENCE)
+    del job, work, deliver, inputs, outputs
+    assert submit(worker, lambda progress: 1).done.wait(PATIENCE)  # the thread is past it
+    assert [end() for end in ends] == [None, None]

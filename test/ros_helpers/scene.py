@@ -10,15 +10,15 @@ QUICK = {'matching.alpha_steps': 11, 'matching.frank_wolfe_iterations': 50}
 SOURCE_STAMP, TARGET_STAMP = 5_000_000_001, 7_250_000_000
 
 
-def heard(client, name):
-    """Return how many clouds the node says it heard on an input."""
-    return int(client.status().values[name]['heard'])
+def received(client, name):
+    """Return how many clouds the node says it received on an input."""
+    return int(client.status().values[name]['received'])
 
 
-def wait_heard(client, source=1, target=1):
+def wait_received(client, source=1, target=1):
     until(
-        lambda: heard(client, 'source') >= source and heard(client, 'target') >= target,
-        f'{source} source and {target} target clouds heard',
+        lambda: received(client, 'source') >= source and received(client, 'target') >= target,
+        f'{source} source and {target} target clouds received',
         30.0,
     )
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Callable
 
-from csgm_ros.ros.client.connection import NODE, PATIENCE, Answer, Client, NoAnswerError, Status
+from rclpy.utilities import remove_ros_args
+
+from csgm_ros.ros.client.connection import DISCOVERY, NODE, Answer, Client, NoAnswerError, Status
 
 __all__ = ['Answer', 'Client', 'NoAnswerError', 'Status', 'call', 'main', 'status']
 
@@ -23,7 +26,7 @@ COMMANDS = {
 FAILED, NO_ANSWER = 1, 2
 
 
-def call(command: str, node: str = NODE, timeout: float = PATIENCE) -> Answer:
+def call(command: str, node: str = NODE, timeout: float | None = None) -> Answer:
     """Do one command of :data:`COMMANDS` but ``status``, over a connection of its own.
 
     Raises
@@ -36,7 +39,7 @@ def call(command: str, node: str = NODE, timeout: float = PATIENCE) -> Answer:
 
 
 def _command(name: str) -> Callable[..., Answer]:
-    def command(node: str = NODE, timeout: float = PATIENCE) -> Answer:
+    def command(node: str = NODE, timeout: float | None = None) -> Answer:
         return call(name, node, timeout)
 
     command.__name__ = command.__qualname__ = name
@@ -47,10 +50,23 @@ def _command(name: str) -> Callable[..., Answer]:
 configure, activate, deactivate, cleanup, shutdown, register, cancel = map(_command, list(COMMANDS)[:-1])
 
 
-def status(node: str = NODE, timeout: float = PATIENCE) -> Status:
+def status(node: str = NODE, timeout: float | None = None) -> Status:
     """Return state and diagnostics of a node."""
     with Client(node, timeout) as client:
         return client.status()
+
+
+def space(namespace: str) -> str:
+    """Return a namespace with a slash before it, empty for the root."""
+    return '/' + namespace.strip('/') if namespace.strip('/') else ''
+
+
+def seconds(text: str) -> float:
+    """Read a number of seconds above 0."""
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f'{text} is not a number of seconds above 0')
+    return value
 
 
 def status_text(found: Status) -> str:
@@ -68,16 +84,24 @@ def main(arguments: list[str] | None = None) -> int:
     for name, text in COMMANDS.items():
         command = commands.add_parser(name, help=text, description=text)
         command.add_argument('--node', default=NODE, help='name of the node, with its namespace; default: csgm')
-        command.add_argument('--timeout', type=float, default=PATIENCE, metavar='S', help='seconds to wait for it')
-    options = parser.parse_args(arguments)
+        command.add_argument('--namespace', default='', metavar='N', help='of the node, where it is not in the root')
+        command.add_argument(
+            '--timeout', type=seconds, metavar='S', help='for the node to be there, and to answer; default: by command'
+        )
+    arguments = sys.argv[1:] if arguments is None else arguments
+    own = remove_ros_args(['csgm', *arguments])[1:]
+    options = parser.parse_args(own)
+    node = f'{space(options.namespace)}/{options.node.strip("/")}' if options.namespace else options.node
+    discovery = None if options.timeout else DISCOVERY  # a node that is not there is told soon
     try:
-        if options.command == 'status':
-            print(status_text(status(options.node, options.timeout)))
-            return 0
-        answer = call(options.command, options.node, options.timeout)
+        with Client(node, options.timeout, arguments, discovery=discovery) as client:
+            answer = getattr(client, options.command)()
     except NoAnswerError as error:
         print(f'csgm: {error}', file=sys.stderr)
         return NO_ANSWER
+    if isinstance(answer, Status):
+        print(status_text(answer))
+        return 0
     print(answer.message)
     return 0 if answer.success else FAILED
 

@@ -12,16 +12,21 @@ import rclpy.client
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
+from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from std_srvs.srv import Trigger
 
 from csgm_ros.errors import CsgmError
+from csgm_ros.ros.dds import connection_error
 
 NODE = 'csgm'
-PATIENCE = 30.0  # seconds; discovery alone may take three
+PATIENCE = 30.0  # seconds for an answer
+DISCOVERY = 6.0  # seconds for a node to be found that is there: it takes up to three
+CONFIGURING, REGISTERING = 300.0, 600.0  # seconds: compiling for the first time takes a minute
 PROBE = 0.5
+CLIENT = 'csgm_client_'
 
 
 class NoAnswerError(CsgmError):
@@ -61,21 +66,41 @@ class Client:
     Parameters
     ----------
     node : str
-        Name of the node, with its namespace if it has one: ``csgm``, ``/robot/csgm``.
-    timeout : float
-        Seconds to wait for the node to be there and to answer; configuring and registering may take longer.
+        Name of the node, with its namespace if it has one: ``csgm``, ``/robot/csgm``. Without a slash before it
+        it is in the namespace of the client, the root where ``ros_arguments`` say nothing else.
+    timeout : float, optional
+        Seconds to wait for the node to be there, and for each answer. Default: :data:`PATIENCE`; configuring and
+        registering may take longer.
+    ros_arguments : list of str, optional
+        As any ROS program takes them, from ``--ros-args`` on.
+    discovery : float, optional
+        Seconds to wait for the node to be there; default: ``timeout``.
     """
 
-    def __init__(self, node: str = NODE, timeout: float = PATIENCE):
-        self.node_name = node if node.startswith('/') else f'/{node}'
-        self.timeout = timeout
+    def __init__(
+        self,
+        node: str = NODE,
+        timeout: float | None = None,
+        ros_arguments: list[str] | None = None,
+        *,
+        discovery: float | None = None,
+    ):
+        self.node_name = node
+        self._asked, self._discovery, self._ros_arguments = timeout, discovery or timeout, ros_arguments
+        self.timeout = timeout or PATIENCE
 
     def __enter__(self) -> Client:
         self._context = rclpy.Context()
-        rclpy.init(context=self._context)
-        self._node = rclpy.create_node(
-            f'csgm_client_{os.getpid()}', context=self._context, start_parameter_services=False, enable_rosout=False
-        )
+        try:
+            rclpy.init(args=self._ros_arguments, context=self._context)
+            self._node = rclpy.create_node(
+                f'{CLIENT}{os.getpid()}', context=self._context, start_parameter_services=False, enable_rosout=False
+            )
+        except (RCLError, UnknownROSArgsError) as error:
+            self._context.try_shutdown()
+            raise NoAnswerError(f'ROS cannot be joined: {connection_error(error)}') from None
+        if not self.node_name.startswith('/'):
+            self.node_name = f'{self._node.get_namespace().rstrip("/")}/{self.node_name}'
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         kinds = {'change_state': ChangeState, 'get_available_transitions': GetAvailableTransitions}
@@ -95,9 +120,9 @@ class Client:
         self._node.destroy_node()
         self._context.try_shutdown()
 
-    def configure(self, timeout: float = 300.0) -> Answer:
+    def configure(self, timeout: float | None = None) -> Answer:
         """Configure the node; compiling its kernels for the first time may take a minute."""
-        return self._change(Transition.TRANSITION_CONFIGURE, 'configured', timeout)
+        return self._change(Transition.TRANSITION_CONFIGURE, 'configured', timeout or self._asked or CONFIGURING)
 
     def activate(self) -> Answer:
         """Let the node listen."""
@@ -123,9 +148,21 @@ class Client:
             return Answer(False, f'the node is {state}')
         return self._change(transitions[state], 'finalized')
 
-    def register(self, timeout: float = 600.0) -> Answer:
-        """Register the newest pair and wait for the verdict."""
-        return self._trigger('register', timeout)
+    def register(self, timeout: float | None = None) -> Answer:
+        """Register the newest pair and wait for the verdict.
+
+        Raises
+        ------
+        NoAnswerError
+            When there is none in time; the node works on.
+        """
+        timeout = timeout or self._asked or REGISTERING
+        try:
+            return self._trigger('register', timeout)
+        except NoAnswerError:
+            raise NoAnswerError(
+                f'{self.node_name} has no verdict within {timeout:g} s and works on; wait longer, or call cancel'
+            ) from None
 
     def cancel(self) -> Answer:
         """Cancel the running registration."""
@@ -186,15 +223,18 @@ class Client:
         were created: once the last one is answered, all are. A request to a service that is not discovered yet is
         lost, too, and the services of the node come in an order of their own.
         """
-        client, end = self._clients['get_state'], time.monotonic() + self.timeout
-        while time.monotonic() < end:
+        client, start = self._clients['get_state'], time.monotonic()
+        patience = self._discovery or PATIENCE
+        while time.monotonic() < start + patience:
             future = client.call_async(GetState.Request())
             self._executor.spin_until_future_complete(future, timeout_sec=PROBE)
             if future.done():
                 self._spin_until(self._all_there, self.timeout, f'{self.node_name} lacks services of a csgm node')
                 return
             client.remove_pending_request(future)
-        raise NoAnswerError(self._absent())
+            if self.node_name in self._nodes():
+                patience = self.timeout  # it is there, and busy
+        raise NoAnswerError(self._absent(patience))
 
     def _all_there(self) -> bool:
         return all(each.service_is_ready() for each in self._clients.values()) and self._parameters.services_are_ready()
@@ -214,9 +254,17 @@ class Client:
     def _call(self, service: str, request: Any, timeout: float) -> Any:
         return self._result(self._clients[service].call_async(request), timeout, service)
 
-    def _absent(self) -> str:
-        others = sorted(f'{space.rstrip("/")}/{name}' for name, space in self._node.get_node_names_and_namespaces())
-        return f'no node {self.node_name} in this ROS domain within {self.timeout:g} s; there are {", ".join(others)}'
+    def _nodes(self) -> list[str]:
+        """Return the nodes there are, but for clients such as this one."""
+        found = self._node.get_node_names_and_namespaces()
+        return sorted({f'{space.rstrip("/")}/{name}' for name, space in found if not name.startswith(CLIENT)})
+
+    def _absent(self, patience: float) -> str:
+        others = self._nodes()
+        if self.node_name in others:
+            return f'{self.node_name} is there and does not answer within {patience:g} s'
+        there = f'there are {", ".join(others)}' if others else 'there is none at all; is it started, in this domain?'
+        return f'no node {self.node_name} in this ROS domain within {patience:g} s; {there}'
 
     def _result(self, future: rclpy.Future, timeout: float, service: str) -> Any:
         self._spin_until(future.done, timeout, f'{self.node_name} did not answer {service} within {timeout:g} s')

@@ -25,6 +25,7 @@ from rosgraph_msgs.msg import Clock
 
 from csgm_ros.errors import CsgmError, InputError
 from csgm_ros.io.bags import open_bag, require_topics
+from csgm_ros.ros.client.commands import space
 from csgm_ros.ros.dds import use_large_buffers
 
 CLOCK_RATE = 50.0  # Hz
@@ -206,9 +207,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Run ``csgm replay``; return 0, or 2 for a bag that cannot be played."""
     arguments = sys.argv[1:] if arguments is None else arguments
     options = parser().parse_args(remove_ros_args(['csgm', *arguments])[1:])
-    space = '/' + options.namespace.strip('/') if options.namespace.strip('/') else ''
     chosen = {'source': options.source_topic, 'target': options.target_topic}
-    remap = {topic: f'{space}/{name}' for name, topic in chosen.items() if topic}
+    remap = {topic: f'{space(options.namespace)}/{name}' for name, topic in chosen.items() if topic}
     use_large_buffers()
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node('csgm_player')
