@@ -14,6 +14,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
+from csgm_ros.errors import InputError
 from csgm_ros.ros.diagnostics import diagnostics
 from csgm_ros.ros.frames import Frames
 from csgm_ros.ros.inputs import CloudInput, Window
@@ -41,7 +42,7 @@ class CsgmNode(SafeLifecycleNode):
         )
         self._inputs = [self._source, self._target]
         self._outputs: Outputs | None = None
-        self._frames = Frames(self)
+        self._frames, self._frames_complaint = Frames(self), ''
         self._pairing = threading.Lock()  # the two inputs are received in different threads
         self._paired: tuple[int, int] | None = None  # clouds received of each input at the last automatic request
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
@@ -215,13 +216,24 @@ class CsgmNode(SafeLifecycleNode):
 
     def _on_monitor(self) -> None:
         if self.state == 'active':
-            if self._settings.node_config.fixed_frame:
-                self._frames.listen()
+            self._follow_frames()
             for cloud_input in self._inputs:
                 cloud_input.monitor(self._settings.node_config.input_timeout)
         outputs = self._outputs
         if outputs is not None:
             outputs.publish_graphs()
+
+    def _follow_frames(self) -> None:
+        """Listen to TF where a fixed frame is set, also while the node is active; say once why that cannot be."""
+        complaint = ''
+        if self._settings.node_config.fixed_frame:
+            try:
+                self._frames.listen()
+            except InputError as error:
+                complaint = str(error)
+        if complaint and complaint != self._frames_complaint:
+            self.get_logger().error(complaint)
+        self._frames_complaint = complaint
 
     def _on_diagnostics(self) -> None:
         self._diagnostics.publish(diagnostics(self, self._inputs, self._registration))

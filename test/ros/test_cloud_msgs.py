@@ -1,5 +1,6 @@
 """PointCloud2 in every layout a driver sends, and merging; the ROS message itself where rclpy is there."""
 
+import tracemalloc
 from types import SimpleNamespace
 
 import numpy as np
@@ -113,6 +114,17 @@ def test_separate_and_unreadable_colours():
     assert decode(message).colors is None
 
 
+class Endless:
+    """Data of any length that nobody has to hold."""
+
+    def __len__(self):
+        return 2**62
+
+
+def head(frame_id='camera', sec=3, nanosec=4):
+    return SimpleNamespace(frame_id=frame_id, stamp=SimpleNamespace(sec=sec, nanosec=nanosec))
+
+
 @pytest.mark.parametrize(
     ('change', 'complaint'),
     [
@@ -124,6 +136,10 @@ def test_separate_and_unreadable_colours():
         ({'data': np.zeros(8, np.uint8)}, 'holds 8 bytes'),
         ({'width': 2**32 - 1, 'height': 2**32 - 1}, 'row step'),
         ({'width': 2**32 - 1, 'height': 1}, 'bytes of data'),
+        ({'point_step': 2**31, 'width': 1}, 'bytes of data'),
+        ({'point_step': 2**32 - 1, 'data': Endless()}, 'point step 4294967295 is above'),
+        ({'header': head(nanosec=10**9)}, '1000000000 nanoseconds in a second'),
+        ({'header': head(frame_id='f' * 10**6)}, 'frame_id has 1000000 characters'),
     ],
 )
 def test_contradictions_are_named(change, complaint):
@@ -148,6 +164,49 @@ def test_wrong_fields_are_named(change, complaint):
     vars(message.fields[2]).update(change)
     with pytest.raises(InputError, match=complaint):
         check_layout(message)
+
+
+def test_coordinates_that_share_bytes_and_too_many_points_are_refused():
+    """A message of one byte a point would cost forty times its size."""
+    message = laid_out(POINTS)
+    for field in message.fields:
+        field.offset, field.datatype = 0, 2
+    message.point_step, message.width, message.row_step = 1, len(message.data), len(message.data)
+    with pytest.raises(InputError, match='overlap'):
+        check_layout(message)
+    with pytest.raises(InputError, match='24 points; max_points is 23'):
+        check_layout(laid_out(POINTS), 23)
+
+
+def test_decoding_costs_at_most_three_times_a_message_of_float32():
+    message = laid_out(np.zeros((300_000, 3)), after=0)
+    tracemalloc.start()
+    decode(message)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 3 * len(message.data)
+
+
+def test_names_of_a_hostile_message_do_not_flood_the_answer():
+    message = laid_out(POINTS)
+    message.fields = [SimpleNamespace(name=f'{i}' + 'n' * 10**6, offset=0, datatype=7, count=1) for i in range(50)]
+    with pytest.raises(InputError, match='and 30 more') as caught:
+        check_layout(message)
+    assert len(str(caught.value)) < 1200
+
+
+@pytest.mark.parametrize('offset', [0.0, 4.2e6])
+def test_points_keep_their_place_far_from_the_origin(offset):
+    """Projected map coordinates: float32 would move them by 0.25 m."""
+    points = POINTS * [1.0, 1.0, 0.1] + [offset / 8, offset, 0.0]
+    parts = encode(points, COLORS, np.ones(len(points), np.uint8))
+    assert {code for name, _, code in parts['fields'] if name in 'xyz'} == {CODES['f8' if offset else 'f4']}
+    fields = [
+        SimpleNamespace(name=name, offset=offset, datatype=code, count=1) for name, offset, code in parts['fields']
+    ]
+    cloud = decode(SimpleNamespace(**{**parts, 'fields': fields, 'header': head()}))
+    assert np.abs(cloud.points - points).max() < 1e-6
+    np.testing.assert_array_equal(cloud.colors, COLORS)
 
 
 def test_cloud_without_a_finite_point_is_refused():

@@ -149,7 +149,7 @@ def test_tf2_is_used_where_it_is_installed(tf2):
     ((_, buffer),) = tf2.listeners
     buffer.add(transform_message(header('map', SECOND), 'camera', turned(0.5)), static=False)
     np.testing.assert_allclose(frames.lookup('map', 'camera', SECOND).matrix, turned(0.5).matrix, atol=1e-12)
-    with pytest.raises(InputError, match='TF does not tell where camera was in map: .* 3.00 s off'):
+    with pytest.raises(InputError, match=r'TF does not tell where camera was in map: .* 3\.00 s off'):
         frames.lookup('map', 'camera', 4 * SECOND)
     with pytest.raises(InputError, match='TF does not tell'):
         frames.lookup('map', 'camera', -1)

@@ -2,11 +2,13 @@
 
 import subprocess
 import sys
+import time
 
 import pytest
 
 pytest.importorskip('rclpy')
 
+from ros_helpers.process import NodeProcess
 from ros_helpers.scene import send_pair, wait_received
 
 from csgm_ros.ros.client import commands as calls
@@ -41,6 +43,27 @@ def test_a_whole_session(node, client, ros):
     assert csgm('call', 'deactivate') == (0, 'inactive', '')
     assert csgm('call', 'cleanup') == (0, 'unconfigured', '')
     assert kept
+
+
+def test_a_node_that_is_not_there_is_told_soon_and_the_client_does_not_list_itself():
+    started = time.monotonic()
+    code, _, complaint = csgm('call', 'status', '--namespace', 'nobody')
+    assert code == 2
+    assert 'no node /nobody/csgm in this ROS domain within 6 s' in complaint
+    assert 'csgm_client' not in complaint
+    assert time.monotonic() - started < 25.0  # 6 s of looking, on a busy machine
+
+
+def test_the_namespace_is_given_as_to_any_ros_program():
+    process = NodeProcess('-r', '__ns:=/robot')
+    try:
+        process.wait_log('transports')
+        assert csgm('call', 'deactivate', '--ros-args', '-r', '__ns:=/robot')[0] == 1
+        code, said, _ = csgm('call', 'status', '--namespace', 'robot')
+        assert code == 0
+        assert 'state: unconfigured' in said
+    finally:
+        process.close()
 
 
 def test_absent_node_is_named_with_those_there_are(node):

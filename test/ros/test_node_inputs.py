@@ -210,7 +210,7 @@ def test_clouds_are_heard_while_a_registration_runs(active, ros, sensors):
     before = received(active, 'target')
     until(lambda: received(active, 'target') > before + 30, 'clouds meanwhile')
     values = active.status().values
-    print(f'while registering: {values["target"]["heard"]} clouds, delay {values["target"]["longest delay ms"]} ms')
+    print(f'while registering: {values["target"]["received"]} clouds, delay {values["target"]["longest delay ms"]} ms')
     active.cancel()
     until(future.done, 'the answer')
 

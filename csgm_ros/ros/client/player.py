@@ -15,6 +15,7 @@ from pathlib import Path
 
 import rclpy
 from builtin_interfaces.msg import Time
+from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
@@ -24,9 +25,9 @@ from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock
 
 from csgm_ros.errors import CsgmError, InputError
-from csgm_ros.io.bags import open_bag, require_topics
+from csgm_ros.io.bags import CLOUD_TYPE, open_bag, require_topics
 from csgm_ros.ros.client.commands import space
-from csgm_ros.ros.dds import use_large_buffers
+from csgm_ros.ros.dds import connection_error, use_large_buffers
 
 CLOCK_RATE = 50.0  # Hz
 INTERFACES = Path('share', 'ament_index', 'resource_index', 'rosidl_interfaces')
@@ -71,6 +72,7 @@ class Player:
         self._node, self._bag, self._rate, self._remap = node, bag, rate, dict(remap or {})
         self._clock = node.create_publisher(Clock, '/clock', 10) if clock else None
         self._publishers = {}
+        self._awaited: set[int] = set()
         self._stopped = threading.Event()
         self.counts: dict[str, int] = {}
         self.latest = 0.0
@@ -92,14 +94,21 @@ class Player:
             publisher = self._node.create_publisher(kind, topic, offered_qos(connection))
         except InvalidTopicNameException:
             raise InputError(f'{self._bag}: holds the topic {topic[:60]!r}, which no ROS topic is called') from None
+        if connection.topic in self._remap or (not self._remap and connection.msgtype == CLOUD_TYPE):
+            self._awaited.add(connection.id)
         self._publishers[connection.id] = publisher
         self.counts[topic] = 0
 
     def wait_for_subscribers(self, timeout: float) -> list[str]:
-        """Wait until somebody listens to every topic; return the topics nobody listens to after ``timeout`` seconds."""
+        """Wait until somebody listens to the clouds; return their topics nobody listens to after ``timeout`` seconds.
+
+        The clouds are those of the remapped topics, of all topics where none is remapped. Others are not waited for:
+        the node would take the silence of what it listens to for a fault.
+        """
         end = time.monotonic() + timeout
+        awaited = [self._publishers[number] for number in self._awaited]
         while True:
-            alone = [each.topic_name for each in self._publishers.values() if not each.get_subscription_count()]
+            alone = [each.topic_name for each in awaited if not each.get_subscription_count()]
             if not alone or time.monotonic() > end or self._stopped.wait(0.02):
                 return alone
 
@@ -210,8 +219,12 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = {'source': options.source_topic, 'target': options.target_topic}
     remap = {topic: f'{space(options.namespace)}/{name}' for name, topic in chosen.items() if topic}
     use_large_buffers()
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node('csgm_player')
+    try:
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        node = rclpy.create_node('csgm_player')
+    except (RCLError, UnknownROSArgsError) as error:
+        print(f'csgm: ROS cannot be joined: {connection_error(error)}', file=sys.stderr)
+        return 2
     try:
         player = Player(node, options.bag, rate=options.rate, remap=remap, clock=not options.no_clock)
         for topic in player.wait_for_subscribers(options.wait):
