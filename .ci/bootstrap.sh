@@ -55,7 +55,7 @@ make_venv() {
 install_lock() {
   local log=$VENV/install.log end='\n'
   if [ -t 1 ]; then end='\r'; fi
-  "$VENV/bin/python" -m pip install -r "$LOCK" 2>&1 | tee "$log" |
+  "$VENV/bin/python" -m pip install --require-hashes -r "$LOCK" 2>&1 | tee "$log" |
     awk -v total="$(grep -c == "$LOCK")" -v end="$end" '
       /^(Collecting|Requirement already satisfied)/ { n++; name = ($1 == "Collecting") ? $2 : $4
         sub(/[=<>;(].*/, "", name); if (end == "\r" || n % 20 == 0) printf "      %3d/%d %-50s" end, n, total, name; fflush() }

@@ -114,7 +114,7 @@ def test_values_are_checked_as_a_whole(declared):
 def test_whole_number_is_taken_for_a_float(active):
     assert active.set_parameters({'scale.scale_max': 10}).success
     assert active.get_parameters(['scale.scale_max']) == {'scale.scale_max': 10.0}
-    refused = active.set_parameters({'scale.scale_max': 10.0, 'icp.iterations': 0})
+    refused = active.set_parameters({'scale.scale_max': 10.0, 'icp.iterations': -1})
     assert not refused.success
     assert 'icp.iterations' in refused.message
 
@@ -122,7 +122,7 @@ def test_whole_number_is_taken_for_a_float(active):
 @pytest.mark.parametrize(
     ('override', 'complaint'),
     [
-        ('icp.iterations:=0', 'icp.iterations'),
+        ('icp.iterations:=-1', 'icp.iterations'),
         ('icp.iterations:=soon', 'icp.iterations'),
         ('profile:=best', 'profile'),
         ('qos_overrides./source.subscription.reliability:=perfect', 'best_effort'),

@@ -1,0 +1,205 @@
+"""The real node under load for minutes: clouds that never stop, registrations, and clients that disturb it.
+
+Two sensors of 300,000 points at 10 Hz that die and come back, one small pair that registers, three clients that
+change parameters, deactivate, clean up, cancel and register at random. Every few seconds the process is measured.
+"""
+
+import contextlib
+import os
+import random
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from csgm_ros.ros.client.connection import Client, NoAnswerError
+from ros_helpers.process import NodeProcess, Process
+from ros_helpers.waiting import until
+
+SPACE = '/soak'
+PERIOD = 3.0  # seconds between two measurements
+ANSWER = 60.0  # seconds within which every operation has to be answered
+SHARED = Path('/dev/shm')
+
+
+@dataclass
+class Figures:
+    """What was measured.
+
+    Attributes
+    ----------
+    rows : list of tuple
+        Seconds since the start, resident MB, threads, file descriptors, MB in /dev/shm.
+    counts : dict
+        Operations by name: (answered with success, answered with a reason).
+    slowest : dict
+        Longest answer of each operation, seconds.
+    unanswered : list of str
+        Operations without an answer.
+    ages : list of float
+        Longest delay of a message from its arrival to its callback since the node was last activated, seconds.
+    """
+
+    rows: list = field(default_factory=list)
+    counts: dict = field(default_factory=dict)
+    slowest: dict = field(default_factory=dict)
+    unanswered: list = field(default_factory=list)
+    ages: list = field(default_factory=list)
+
+    def table(self) -> str:
+        """Return the figures as text: ten moments, and the operations."""
+        chosen = self.rows[:: max(1, len(self.rows) // 10)]
+        lines = ['| s | resident MB | threads | descriptors | /dev/shm MB |', '|---|---|---|---|---|']
+        lines += ['| {:.0f} | {:.0f} | {} | {} | {:.1f} |'.format(*row) for row in chosen]
+        lines += ['', '| operation | done | refused with a reason | slowest answer s |', '|---|---|---|---|']
+        lines += [
+            f'| {name} | {done} | {refused} | {self.slowest[name]:.2f} |'
+            for name, (done, refused) in sorted(self.counts.items())
+        ]
+        return '\n'.join(
+            [*lines, '', f'unanswered: {self.unanswered or "none"}; oldest message {max(self.ages):.2f} s']
+        )
+
+    def growth(self) -> tuple[float, int, int, float]:
+        """Return how much memory (share), threads, descriptors and MB in /dev/shm grew from the 2nd to the 4th quarter.
+
+        Maxima are compared: in between the node may be inactive.
+        """
+        quarter = max(1, len(self.rows) // 4)
+        early, late = (
+            np.array(part)[:, 1:].max(axis=0) for part in (self.rows[quarter : 2 * quarter], self.rows[-quarter:])
+        )
+        return (
+            float(late[0] / early[0] - 1),
+            int(late[1] - early[1]),
+            int(late[2] - early[2]),
+            float(late[3] - early[3]),
+        )
+
+
+class Disturber(threading.Thread):
+    """One client that does something at random, again and again."""
+
+    def __init__(self, number: int, figures: Figures, lock: threading.Lock, stop: threading.Event, pause: float):
+        super().__init__(daemon=True)
+        self._rng, self._pause = random.Random(number), pause
+        self._figures, self._lock, self._stop_asked = figures, lock, stop
+
+    def run(self):
+        with Client(f'{SPACE}/csgm') as client:
+            operations = {
+                'register': lambda: client.register(timeout=ANSWER),
+                'cancel': client.cancel,
+                'set_parameters': lambda: client.set_parameters(self._settings()),
+                'refused parameters': lambda: client.set_parameters({'icp.iterations': -1}),
+                'deactivate': client.deactivate,
+                'cleanup': client.cleanup,
+                'configure': lambda: client.configure(timeout=ANSWER),
+                'activate': client.activate,
+                'state': client.state,
+            }
+            weights = [4, 2, 4, 1, 1, 1, 3, 6, 2]
+            while not self._stop_asked.wait(self._pause * self._rng.random()):
+                (name,) = self._rng.choices(list(operations), weights)
+                self._do(name, operations[name])
+
+    def _settings(self) -> dict:
+        return {'seed': self._rng.randrange(100), 'target_window': self._rng.randint(1, 3)}
+
+    def _do(self, name, operation):
+        started = time.monotonic()
+        try:
+            answer = operation()
+        except NoAnswerError as error:
+            with self._lock:
+                self._figures.unanswered.append(f'{name}: {error}')
+            return
+        seconds = time.monotonic() - started
+        with self._lock:
+            done, refused = self._figures.counts.get(name, (0, 0))
+            success = getattr(answer, 'success', True)
+            self._figures.counts[name] = (done + success, refused + (not success))
+            self._figures.slowest[name] = max(seconds, self._figures.slowest.get(name, 0.0))
+
+
+def sensor(topic: str, points: int, rate: float):
+    return Process('-m', 'ros_helpers.send_clouds', topic, '--points', str(points), '--rate', str(rate), '--reliable')
+
+
+def shared_megabytes() -> float:
+    """Return what this machine's /dev/shm holds of Fast DDS."""
+    total = 0
+    for path in SHARED.glob('*fastrtps*'):
+        with contextlib.suppress(OSError):
+            total += path.stat().st_size
+    return total / 2**20
+
+
+def soak(seconds: float, *, points: int = 300_000, rate: float = 10.0, pause: float = 2.0, rebirth: float = 20.0):
+    """Run the node for so long; return (figures, log of the node).
+
+    Parameters
+    ----------
+    seconds : float
+    points, rate : int, float
+        Size and frequency of the clouds on either input.
+    pause : float
+        Longest pause between two operations of a client, seconds.
+    rebirth : float
+        Seconds after which a sensor is killed and started again.
+    """
+    figures, lock, stop = Figures(), threading.Lock(), threading.Event()
+    node = NodeProcess('-r', f'__ns:={SPACE}', '-p', 'autostart:=true', '-p', 'time_budget:=5.0')
+    sensors = []
+    try:
+        with Client(f'{SPACE}/csgm') as client:
+            until(lambda: client.state() == 'active', 'the node to start itself', 300.0)
+            sensors = [sensor(f'{SPACE}/{name}', points, rate) for name in ('source', 'target')]
+            clients = [Disturber(number, figures, lock, stop, pause) for number in range(3)]
+            for each in clients:
+                each.start()
+            watch(seconds, node, client, sensors, figures, rebirth, (points, rate))
+            stop.set()
+            for each in clients:
+                each.join(2 * ANSWER)
+                if each.is_alive():
+                    figures.unanswered.append('a client waits for ever')
+        node.close()
+        return figures, node_log(node)
+    finally:
+        stop.set()
+        for each in sensors:
+            each.kill()
+        if node.popen.poll() is None:
+            node.kill()
+
+
+def node_log(node) -> str:
+    """Return what the node said; its file is gone once it is closed."""
+    return getattr(node, 'last_log', '')
+
+
+def watch(seconds, node, client, sensors, figures, rebirth, size):
+    """Measure, and let the sensors die and come back in turn, one orderly and one by SIGKILL."""
+    started = born = time.monotonic()
+    turn = 0
+    while (now := time.monotonic()) - started < seconds:
+        assert node.popen.poll() is None, node.log
+        with contextlib.suppress(NoAnswerError):
+            values = client.status().values
+            figures.ages.append(max(float(values[name]['longest delay ms']) for name in ('source', 'target')) / 1e3)
+        figures.rows.append((now - started, node.resident_mb(), node.threads(), node.descriptors(), shared_megabytes()))
+        if now - born > rebirth:
+            born, which = now, turn % 2
+            sensors[which].kill() if turn % 4 < 2 else sensors[which].end()
+            sensors[which] = sensor(f'{SPACE}/{("source", "target")[which]}', *size)
+            turn += 1
+        time.sleep(max(0.0, now + PERIOD - time.monotonic()))
+
+
+def cpu_seconds(pid: int) -> float:
+    """Return the CPU seconds a process has used."""
+    fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
