@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import sys
@@ -86,6 +85,9 @@ def live(parts: Parts, node_type: type, args: list[str] | None) -> str:
         parts.node.get_logger().info(transports)
         parts.executor = SteadyExecutor(THREADS)
         parts.executor.add_node(parts.node)
+        spin(parts.executor)
+    except ExternalShutdownException:
+        return ''
     except (InvalidParameterTypeException, InvalidParameterValueException, ConfigError) as error:
         return str(error)
     except Exception as error:
@@ -94,8 +96,6 @@ def live(parts: Parts, node_type: type, args: list[str] | None) -> str:
         if isinstance(error, (RCLError, UnknownROSArgsError)):
             return connection_error(error)
         raise
-    with contextlib.suppress(ExternalShutdownException):
-        spin(parts.executor)
     return ''
 
 
@@ -110,7 +110,7 @@ def spin(executor: MultiThreadedExecutor) -> None:
 
 
 def ended_by_signal() -> bool:
-    """Tell whether the context was taken down, which only a signal does while the node is being made."""
+    """Tell whether the context was taken down: a signal does that at any time, and what needs it raises."""
     return rclpy.get_default_context().handle is not None and not rclpy.ok()
 
 
