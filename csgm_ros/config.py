@@ -41,6 +41,9 @@ class PreprocessConfig(Checked):
         low=0.0,
         high=1000.0,
     )
+    max_points: int = param(
+        1000000, 'points from which a cloud is thinned to one a voxel, of at most so many', low=1000, high=100000000
+    )
     normal_neighbors: int = param(20, 'points from which a normal is estimated', low=3, high=200)
     max_surface_variation: float = param(
         0.6, 'surface variation above which smoothing is tried while no result is certain', low=0.0, high=1.0

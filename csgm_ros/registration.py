@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -87,7 +88,8 @@ def register(
         Whatever ``on_progress`` raised.
     """
     config = config or profile()
-    clouds = finite_points(source, NAMES[0]), finite_points(target, NAMES[1])
+    most, threads = config.preprocess.max_points, config.threads or os.cpu_count() or 1
+    clouds = finite_points(source, NAMES[0], most, threads), finite_points(target, NAMES[1], most, threads)
     clock = Clock(on_progress, config.time_budget)
     clock.enter('scale normalization')
     pair = normalize(clouds, config)  # step 1

@@ -150,6 +150,10 @@ def cluster(address: str | None, workers: int = 0, *, threads: int = 0, retries:
         'distributed.scheduler.allowed-failures': retries,
         # a worker holds the pair that it works on and no other: only that one is blamed for its death
         'distributed.scheduler.worker-saturation': 1.0,
+        # what watches tasks of milliseconds costs a fifth of ours
+        'distributed.worker.profile.enabled': False,
+        'distributed.admin.system-monitor.interval': '10s',
+        'distributed.scheduler.work-stealing': False,
     }
     with dask.config.set(settings):
         local = LocalCluster(

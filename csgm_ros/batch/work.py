@@ -27,13 +27,14 @@ def register_pair(pair: Pair, threads: int) -> dict:
     import numpy as np
 
     from csgm_ros.config import profile, replaced
-    from csgm_ros.io.files import read_cloud
+    from csgm_ros.io.files import read_points
     from csgm_ros.registration import register
 
     config = replaced(profile(pair.profile), {'threads': threads, **dict(pair.changes)})
     start = time.perf_counter()
     try:
-        source, target = (read_cloud(path).points for path in (pair.source, pair.target))
+        most = config.preprocess.max_points
+        source, target = (read_points(path, most, threads) for path in (pair.source, pair.target))
         read_seconds = time.perf_counter() - start
         result = register(source, target, config, seed=pair.seed)
     except CsgmError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from importlib import import_module
 
@@ -146,7 +147,7 @@ def _register(options) -> int:
         files.check_writable(options.output)
     if options.json:
         files.check_writable(options.json, ('.json',))
-    source, target = _clouds(options)
+    source, target = _clouds(options, config)
 
     from csgm_ros.registration import register
 
@@ -207,8 +208,8 @@ def _usable_transform(options):
     return None
 
 
-def _clouds(options):
-    """Return the source and the target that the options name."""
+def _clouds(options, config):
+    """Return the source and the target that the options name; large ones thinned, where nothing else is asked for."""
     from csgm_ros.io import files
 
     if options.bag:
@@ -222,7 +223,10 @@ def _clouds(options):
         )
     if not (options.source and options.target):
         raise InputError('register needs SOURCE and TARGET, or --bag; see csgm register --help')
-    return files.read_cloud(options.source), files.read_cloud(options.target)
+    if options.output:
+        return files.read_cloud(options.source), files.read_cloud(options.target)
+    most, threads = config.preprocess.max_points, config.threads or os.cpu_count() or 1
+    return tuple(files.CloudFile(files.read_points(path, most, threads)) for path in (options.source, options.target))
 
 
 def _demo(options) -> int:

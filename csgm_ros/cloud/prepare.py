@@ -5,16 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from csgm_ros.cloud.plane_fit import fit_planes
+from csgm_ros.cloud.thin import parts_of, thinned
 from csgm_ros.cloud.voxels import voxel_means
-from csgm_ros.errors import DegenerateCloudError, InputError
+from csgm_ros.errors import DegenerateCloudError, InputError, naming
 from csgm_ros.types import PreparedCloud, Similarity
 
 MIN_POINTS = 50
 MAX_COORDINATE = 1e100  # squares, their sums and quotients of two clouds stay far from overflow
 
 
-def finite_points(points: np.ndarray, name: str = 'cloud') -> np.ndarray:
+def finite_points(points: np.ndarray, name: str = 'cloud', most: int | None = None, threads: int = 1) -> np.ndarray:
     """Return the finite rows of an (N, 3) array as float64, or say what is wrong with it.
+
+    A cloud of more than ``most`` points comes back as the means of at most so many voxels.
 
     Raises
     ------
@@ -31,7 +34,11 @@ def finite_points(points: np.ndarray, name: str = 'cloud') -> np.ndarray:
         raise InputError(f'{name}: not an array of numbers but of {points.dtype}; give an (N, 3) array')
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f'{name}: shape {points.shape}; give an (N, 3) array of x, y, z')
-    points = points[np.isfinite(points).all(1)].astype(float)
+    if most is not None and len(points) > most:
+        with naming(name):
+            points = thinned(parts_of(points), most, threads)
+    else:
+        points = points[np.isfinite(points).all(1)].astype(float)
     if len(points) < MIN_POINTS:
         raise DegenerateCloudError(f'{name}: {len(points)} finite points; at least {MIN_POINTS} are needed')
     if np.abs(points).max() > MAX_COORDINATE:

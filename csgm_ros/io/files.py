@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
+from csgm_ros.cloud.thin import PART, parts_of, thinned
 from csgm_ros.errors import InputError
 from csgm_ros.io.atomic import replacing
 from csgm_ros.io.cloud_file import CloudFile, Table, cloud_of, color_limit, has_byte_colors
 from csgm_ros.io.formats import READ, WRITTEN, format_of
 
-__all__ = ['SUFFIXES', 'CloudFile', 'check_writable', 'chunks', 'read_cloud', 'write', 'write_cloud']
+__all__ = ['SUFFIXES', 'CloudFile', 'check_writable', 'chunks', 'read_cloud', 'read_points', 'write', 'write_cloud']
 
 SUFFIXES = WRITTEN
 CHUNK = 1_000_000  # rows
@@ -75,6 +77,55 @@ def chunks(path: str | Path, rows: int = CHUNK) -> Iterator[CloudFile]:
             else:
                 cut = [None if each is None else each[first:last] for each in (found.colors, found.normals)]
                 part = CloudFile(found.points[first:last], *cut, found.origin)
+        yield part
+
+
+def read_points(path: str | Path, most: int, threads: int = 1) -> np.ndarray:
+    """Read the points of a file alone; a cloud of more than ``most`` comes thinned and is never held as a whole.
+
+    Parameters
+    ----------
+    path : str or Path
+    most : int
+        `preprocess.max_points` of the registration that follows, which gives the same bits for the whole cloud.
+    threads : int, optional
+        Parts worked on at a time.
+
+    Returns
+    -------
+    (N, 3) float64 ndarray
+
+    Raises
+    ------
+    InputError
+        As :func:`read_cloud`.
+    """
+    parts = _point_parts(_existing(path))
+    held, rows = [], 0
+    for part in parts:
+        held.append(part)
+        rows += len(part)
+        if rows > most:
+            with _named(Path(path)):
+                return thinned(itertools.chain(held, parts), most, threads)
+    points = np.concatenate(held)
+    if not np.isfinite(points).all(axis=1).any():
+        raise InputError(f'{path}: holds no finite point; write it again')
+    return points
+
+
+def _point_parts(path: Path) -> Iterator[np.ndarray]:
+    """Yield the points of a file part by part; those of .las on demand too, as colours are not asked for."""
+    with _named(path):
+        module = _module(path)
+        found = getattr(module, 'coordinates', module.read)(path)
+    if not isinstance(found, Table):
+        yield from parts_of(found.points)
+        return
+    for first in range(0, found.rows, PART):
+        with _named(path):
+            columns = found.part(first, min(first + PART, found.rows))
+            part = cloud_of({name: columns[name] for name in 'xyz' if name in columns}).points
         yield part
 
 

@@ -46,14 +46,14 @@ class Deadly(WorkerPlugin):
     def setup(self, worker):
         import csgm_ros.io.files as files
 
-        real = files.read_cloud
+        real = files.read_points
 
-        def reading(path):
+        def reading(path, *arguments):
             if str(path).endswith('deadly.npy'):
                 os.kill(os.getpid(), signal.SIGKILL)
-            return real(path)
+            return real(path, *arguments)
 
-        files.read_cloud = reading
+        files.read_points = reading
 
 
 @pytest.fixture(scope='module')

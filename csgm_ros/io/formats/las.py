@@ -16,7 +16,7 @@ from typing import BinaryIO
 import numpy as np
 
 from csgm_ros.errors import InputError
-from csgm_ros.io.cloud_file import CloudFile, full_brightness
+from csgm_ros.io.cloud_file import CloudFile, Table, full_brightness
 
 HEADER = struct.Struct('<4s20xBB64x4xHIIBHI20x6d48x')  # LAS 1.0 to 1.4, up to the bounding box
 COUNT_PLACE = 247  # of the 64-bit count of LAS 1.4
@@ -76,6 +76,24 @@ def read(path: Path) -> CloudFile:
     if declared.kind in COLOR_PLACE and rows['rgb'].any():
         colors = rows['rgb'] / full_brightness(rows['rgb'], floats=False)
     return CloudFile(rows['xyz'] * declared.scales + declared.origin, colors, None, declared.origin)
+
+
+def coordinates(path: Path) -> Table | CloudFile:
+    """Read coordinates alone; of plain points only when they are asked for, as of files larger than memory."""
+    with path.open('rb') as file:
+        declared = header(file, os.fstat(file.fileno()).st_size)
+    if declared.laszip is not None:
+        return read(path)
+    fields = {'names': ['xyz'], 'formats': ['(3,)<i4'], 'offsets': [0], 'itemsize': declared.row_bytes}
+
+    def part(first: int, last: int) -> dict[str, np.ndarray]:
+        start = declared.start + first * declared.row_bytes
+        rows = np.fromfile(path, np.dtype(fields), last - first, offset=start)['xyz']
+        if len(rows) != last - first:  # the file may have been cut since
+            raise InputError('ends early; copy or write it again')
+        return dict(zip('xyz', (rows * declared.scales + declared.origin).T, strict=True))
+
+    return Table(declared.rows, part)
 
 
 def header(file: BinaryIO, size: int) -> Header:
