@@ -17,7 +17,7 @@ unexport PYTHONPATH PYTHONHOME AMENT_PREFIX_PATH LD_LIBRARY_PATH RMW_IMPLEMENTAT
 help:
 	@echo 'make demo    the live node registers a simulated Kinect and a simulated SfM cloud'
 	@echo 'make test    every test (TESTS=test/test_files.py for some)'
-	@echo 'make lint    style and format'
+	@echo 'make lint    style, format, docstrings, types'
 	@echo 'make bench   measured figures, with their references beside them (hours; ARGS=--quick for minutes)'
 	@echo 'make clean   remove what the others made, the virtual environment included'
 	@echo 'PYTHON=...   interpreter to use (3.11 or 3.12)    VENV=...  where the environment lives'
@@ -40,6 +40,7 @@ test: $(READY) $(TF2)
 
 lint: $(READY)
 	@$(PY) -m ruff check . && $(PY) -m ruff format --check .
+	@$(PY) -m numpydoc.hooks.validate_docstrings $$(git ls-files 'csgm_ros/*.py')
 
 bench: $(READY)
 	@set -e; for script in $$(grep -l __main__ $(BENCH)/*.py); do echo "== $$script"; $(PY) "$$script" $(ARGS); done
