@@ -75,7 +75,15 @@ setup(
         'batch': BATCH,
         'test': ['pytest', 'pytest-timeout', 'hypothesis', 'selenium', *FORMATS, *BATCH],
         'peers': ['kiss-matcher', 'small-gicp', 'pycpd', 'jrmpc'],
-        'dev': ['ruff', 'mypy', 'numpydoc', 'types-PyYAML', 'colcon-common-extensions', 'setuptools<80', *INTERFACE_BUILD],
+        'dev': [
+            'ruff',
+            'mypy',
+            'numpydoc',
+            'types-PyYAML',
+            'colcon-common-extensions',
+            'setuptools<80',
+            *INTERFACE_BUILD,
+        ],
     },
     entry_points={
         'console_scripts': [

@@ -166,7 +166,7 @@ def context(
 
     Notes
     -----
-    The paper describes a node by the ESF of its supervoxel alone (Sec. III-C); that puts the true partner in the
+    The paper describes a node by the ESF of its supervoxel alone (Sec. III-C); that puts the true counterpart in the
     middle of the ranking, because the two clouds are cut in different places. Around the node both have the same.
     """
     nodes = np.asarray(nodes, np.float64)

@@ -35,7 +35,7 @@ def refine_all(
     transforms : (H, 4, 4) ndarray
         Similarity matrices, source to target.
     samples : pair of index arrays
-        Points of source and target that seek a partner.
+        Points of source and target that seek a correspondence.
     distances : tuple of float
         Largest distance of a correspondence, target units; one run after the other, wide to narrow.
     min_cosine : float

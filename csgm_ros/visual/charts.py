@@ -45,18 +45,18 @@ def curve(points: np.ndarray, x: str, y: str) -> str:
     return _svg(figure)
 
 
-def histogram(named: dict[str, tuple[np.ndarray, str]], reach: float, gate: float) -> str:
-    """Return the distances of both clouds as inline SVG; ``gate`` is marked."""
+def histogram(named: dict[str, tuple[np.ndarray, str]], reach: float, inlier_distance: float) -> str:
+    """Return the distances of both clouds as inline SVG; ``inlier_distance`` is marked."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5, 3), layout='constrained')
     axes = figure.add_subplot(xlabel='distance to the other cloud (unit of the target)', ylabel='share of the points')
     for name, (values, color) in named.items():
         near = values[values < reach]
-        label = f'{name} ({(values < gate).mean():.0%} within the gate)'
+        label = f'{name} ({(values < inlier_distance).mean():.0%} within the inlier distance)'
         weights = np.full(len(near), 1 / len(values))
         axes.hist(near, bins=60, range=(0.0, reach), weights=weights, histtype='step', color=color, label=label)
-    axes.axvline(gate, color='#222222', lw=1, ls='--')
+    axes.axvline(inlier_distance, color='#222222', lw=1, ls='--')
     axes.legend(fontsize=8)
     return _svg(figure)
 

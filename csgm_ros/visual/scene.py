@@ -278,7 +278,7 @@ def _views(data: ReportData, source: Shown, target: Shown, axes: np.ndarray) -> 
 
 
 def _framed(rows: np.ndarray, points: np.ndarray) -> dict:
-    """Return a view that all of (N, 3) points but a few strays fill; ``rows`` are right, down and into the page."""
+    """Return a view that all of (N, 3) points but a few outliers fill; ``rows`` are right, down and into the page."""
     low, high = np.quantile(points @ rows.T, (0.01, 0.99), axis=0)
     width, height, depth = high - low
     distance = max(width / ASPECT, height) / (2 * np.tan(np.radians(FIELD / 2))) + depth / 2

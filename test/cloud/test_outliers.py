@@ -1,4 +1,4 @@
-"""Strays, noise and smoothing: what is done to a cloud before the five steps."""
+"""Outliers, noise and smoothing: what is done to a cloud before the five steps."""
 
 import numpy as np
 import pytest
@@ -17,14 +17,14 @@ def noisy_sheet(noise, seed=0):
     return sheet + rng.normal(size=sheet.shape) * (0.0, 0.0, noise)
 
 
-def test_strays_do_not_set_the_radius():
+def test_outliers_do_not_set_the_radius():
     cloud = room(3, 500)
-    strays = np.array([[30.0, 0.0, 0.0], [0.0, -80.0, 5.0]])
-    assert radius(without_isolated(np.vstack([cloud, strays]), 2.5)) == pytest.approx(radius(cloud), rel=0.05)
+    outliers = np.array([[30.0, 0.0, 0.0], [0.0, -80.0, 5.0]])
+    assert radius(without_isolated(np.vstack([cloud, outliers]), 2.5)) == pytest.approx(radius(cloud), rel=0.05)
     assert without_isolated(cloud, 0.0) is cloud
 
 
-def test_far_strays_are_left_out_and_nothing_else():
+def test_far_outliers_are_left_out_and_nothing_else():
     cloud = room(3, 500)
     unit = Similarity(1.0 / radius(cloud), np.eye(3), -cloud.mean(0) / radius(cloud))
     kept = without_far(np.vstack([cloud, [[30.0, 0.0, 0.0]]]), unit)

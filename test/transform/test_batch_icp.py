@@ -14,7 +14,7 @@ from csgm_ros.transform.batch_icp import refine_all
 from csgm_ros.types import Similarity
 
 SEEDS = st.integers(0, 2**32 - 1)
-GATES, COSINE = (0.12, 0.08, 0.05), float(np.cos(np.radians(40.0)))
+DISTANCES, COSINE = (0.12, 0.08, 0.05), float(np.cos(np.radians(40.0)))
 TURN = random_rotation(np.random.default_rng(7))
 
 
@@ -44,7 +44,7 @@ def nudge(rng, scale, angle, offset):
 def refined(starts, grids, estimate_scale=True):
     source, target, samples = grids
     matrices = np.stack([start.matrix for start in starts])
-    return refine_all(matrices, source, target, samples, GATES, COSINE, estimate_scale=estimate_scale)
+    return refine_all(matrices, source, target, samples, DISTANCES, COSINE, estimate_scale=estimate_scale)
 
 
 def errors(matrices, points):
@@ -91,17 +91,17 @@ def test_fewer_than_ten_correspondences_never_move_anything(seed, count):
     source, target, samples = ROOM
     starts = np.stack([(TRUTH @ nudge(rng, 0.02, 0.02, 0.02)).matrix for _ in range(3)])
     few = samples[0][:count], samples[1][:0]
-    kept = refine_all(starts, source, target, few, GATES, COSINE)
+    kept = refine_all(starts, source, target, few, DISTANCES, COSINE)
     assert kept.tobytes() == starts.tobytes()
 
 
 def test_clouds_that_do_not_meet_or_whose_normals_disagree_never_move():
     source, target, samples = ROOM
     far = Similarity(1.0, TURN, np.full(3, 10.0)).matrix[None]
-    assert refine_all(far, source, target, samples, GATES, COSINE).tobytes() == far.tobytes()
+    assert refine_all(far, source, target, samples, DISTANCES, COSINE).tobytes() == far.tobytes()
     start = (TRUTH @ nudge(np.random.default_rng(0), 0.02, 0.02, 0.02)).matrix[None]
     unknown = target._replace(normals=np.zeros_like(target.normals))
-    assert refine_all(start, source, unknown, samples, GATES, COSINE).tobytes() == start.tobytes()
+    assert refine_all(start, source, unknown, samples, DISTANCES, COSINE).tobytes() == start.tobytes()
 
 
 def test_each_transform_is_refined_for_itself_and_the_input_is_left_alone():
@@ -109,8 +109,8 @@ def test_each_transform_is_refined_for_itself_and_the_input_is_left_alone():
     starts = np.stack([(TRUTH @ nudge(rng, 0.03, 0.05, 0.03)).matrix for _ in range(6)])
     before = starts.copy()
     source, target, samples = ROOM
-    together = refine_all(starts, source, target, samples, GATES, COSINE)
-    alone = [refine_all(start, source, target, samples, GATES, COSINE)[0] for start in starts]
+    together = refine_all(starts, source, target, samples, DISTANCES, COSINE)
+    alone = [refine_all(start, source, target, samples, DISTANCES, COSINE)[0] for start in starts]
     np.testing.assert_array_equal(together, np.stack(alone))
     np.testing.assert_array_equal(starts, before)
 
@@ -119,7 +119,7 @@ def test_each_transform_is_refined_for_itself_and_the_input_is_left_alone():
 def test_the_number_of_iterations_is_a_limit(iterations):
     source, target, samples = ROOM
     start = (TRUTH @ nudge(np.random.default_rng(0), 0.04, 0.06, 0.04)).matrix[None]
-    short = refine_all(start, source, target, samples, GATES, COSINE, iterations=iterations)
+    short = refine_all(start, source, target, samples, DISTANCES, COSINE, iterations=iterations)
     assert np.array_equal(short, start) == (iterations == 0)
     assert errors(short, source.points)[0] > errors(refined([Similarity.from_matrix(start[0])], ROOM), source.points)[0]
 

@@ -11,7 +11,7 @@ from csgm_ros.types import Similarity
 SOURCE = room(1, 300)
 TRUTH = Similarity(0.5, random_rotation(np.random.default_rng(4)), np.array([3.0, -2.0, 1.0]))
 TARGET = TRUTH.apply(room(2, 300))
-GATES = (0.1, 0.04)
+DISTANCES = (0.1, 0.04)
 
 
 def nudge(scale, angle, offset):
@@ -21,26 +21,26 @@ def nudge(scale, angle, offset):
 
 def test_pulls_a_start_nearby_to_the_truth():
     start = TRUTH @ nudge(1.03, 0.03, 0.03)
-    found = refine(SOURCE, TARGET, start, GATES)
+    found = refine(SOURCE, TARGET, start, DISTANCES)
     assert error(start, TRUTH, SOURCE) > 0.02
     assert error(found, TRUTH, SOURCE) < 0.005
     assert rotation_angle(found.rotation.T @ TRUTH.rotation) < 0.01
 
 
 def test_without_scale_the_scale_stays():
-    found = refine(SOURCE, TARGET, TRUTH @ nudge(1.0, 0.03, 0.03), GATES, estimate_scale=False)
+    found = refine(SOURCE, TARGET, TRUTH @ nudge(1.0, 0.03, 0.03), DISTANCES, estimate_scale=False)
     assert found.scale == pytest.approx(TRUTH.scale, rel=1e-12)
     assert error(found, TRUTH, SOURCE) < 0.005
 
 
 def test_a_start_without_neighbours_is_returned_as_it_was():
     start = Similarity(0.5, np.eye(3), np.full(3, 100.0))
-    np.testing.assert_allclose(refine(SOURCE, TARGET, start, GATES).matrix, start.matrix, rtol=1e-12)
+    np.testing.assert_allclose(refine(SOURCE, TARGET, start, DISTANCES).matrix, start.matrix, rtol=1e-12)
 
 
 def test_the_same_start_gives_the_same_bits():
     start = TRUTH @ nudge(1.02, 0.02, 0.02)
-    first, second = (refine(SOURCE, TARGET, start, GATES).matrix for _ in range(2))
+    first, second = (refine(SOURCE, TARGET, start, DISTANCES).matrix for _ in range(2))
     assert first.tobytes() == second.tobytes()
 
 

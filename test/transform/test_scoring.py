@@ -15,8 +15,10 @@ from csgm_ros.transform.scoring import best_distinct, scores
 from csgm_ros.types import Similarity
 
 SEEDS = st.integers(0, 2**32 - 1)
-CELL, GATE, COSINE = 0.025, 0.045, float(np.cos(np.radians(40.0)))
-SPACING = 0.05  # wider than a cell's diagonal and than the gate: each point's cell names that point, and none else
+CELL, TRUNCATION, COSINE = 0.025, 0.045, float(np.cos(np.radians(40.0)))
+SPACING = (
+    0.05  # wider than a cell's diagonal and than the truncation: each point's cell names that point, and none else
+)
 
 
 def thinned(points, normals):
@@ -36,10 +38,10 @@ def grid_of(points, normals):
     return nearest_grid.build(points, normals, CELL, 0.12)
 
 
-def score(transforms, source, target, gate=GATE, cosine=COSINE):
+def score(transforms, source, target, truncation=TRUNCATION, cosine=COSINE):
     transforms = np.stack([transform.matrix for transform in np.atleast_1d(transforms)])
     samples = np.arange(len(source.points)), np.arange(len(target.points))
-    return scores(transforms, source, target, samples, gate, cosine)
+    return scores(transforms, source, target, samples, truncation, cosine)
 
 
 def shrunken(factor, centre):
@@ -101,7 +103,7 @@ def test_the_score_of_the_inverse_with_the_sides_exchanged_is_the_same(cloud):
     transform = Similarity(0.9, np.eye(3), np.array([0.01, -0.02, 0.03]))
     target = grid_of(transform.apply(cloud[0]) + 0.003, cloud[1])
     forth = score(transform, source, target)
-    back = score(transform.inverse(), target, source, gate=GATE / transform.scale)
+    back = score(transform.inverse(), target, source, truncation=TRUNCATION / transform.scale)
     np.testing.assert_allclose(back, forth, rtol=1e-9)
     assert forth[0] > 0.5
 
@@ -125,7 +127,7 @@ def test_clouds_that_do_not_meet_score_nothing(cloud):
 
 def test_no_transforms_have_no_scores(cloud):
     grid, every = grid_of(*cloud), np.arange(len(cloud[0]))
-    assert scores(np.empty((0, 4, 4)), grid, grid, (every, every), GATE, COSINE).shape == (0,)
+    assert scores(np.empty((0, 4, 4)), grid, grid, (every, every), TRUNCATION, COSINE).shape == (0,)
 
 
 @settings(max_examples=50, deadline=None)
