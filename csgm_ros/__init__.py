@@ -6,11 +6,24 @@ _HOMES = {
     'register': 'csgm_ros.registration',
     'Config': 'csgm_ros.config',
     'profile': 'csgm_ros.config',
+    'Estimate': 'csgm_ros.types',
+    'Prior': 'csgm_ros.types',
     'RegistrationResult': 'csgm_ros.types',
+    'Session': 'csgm_ros.tracking.session',
     'Similarity': 'csgm_ros.types',
     'Verdict': 'csgm_ros.types',
 }
-__all__ = ['Config', 'RegistrationResult', 'Similarity', 'Verdict', 'profile', 'register']
+__all__ = [
+    'Config',
+    'Estimate',
+    'Prior',
+    'RegistrationResult',
+    'Session',
+    'Similarity',
+    'Verdict',
+    'profile',
+    'register',
+]
 
 
 def __getattr__(name: str):

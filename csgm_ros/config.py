@@ -259,6 +259,28 @@ class IcpConfig(Checked):
 
 
 @dataclass(frozen=True)
+class TrackingConfig(Checked):
+    """A moving sensor in a map, :class:`csgm_ros.Session`."""
+
+    resolution: float = param(
+        0.0125, 'edge of the voxels of a frame', unit='median range of the first frame', low=0.001, high=0.1
+    )
+    first_seconds: float = param(
+        1.0, 'frames that are joined before the first attempt to localise', unit='s', low=0.0, high=60.0
+    )
+    most_seconds: float = param(3.0, 'newest frames that are joined at most', unit='s', low=0.1, high=60.0)
+    max_gap: float = param(1.0, 'silence of the sensor after which it may be anywhere', unit='s', low=0.05, high=60.0)
+    lost_after: float = param(0.8, 'time without evidence after which the pose is lost', unit='s', low=0.0, high=60.0)
+    min_on_map: float = param(
+        0.2, "share of a frame's points near the map below which the frame is no evidence", low=0.0, high=1.0
+    )
+    min_agreement: float = param(
+        0.6, "share of the map's points in view that are seen, not seen through", low=0.0, high=1.0
+    )
+    confirmations: int = param(2, 'frames in a row that must confirm a localisation', low=1, high=100)
+
+
+@dataclass(frozen=True)
 class NodeConfig(Checked):
     """What only the ROS node needs, beside :class:`Config`."""
 
@@ -345,6 +367,7 @@ class Config(Checked):
     hypotheses: HypothesesConfig = None  # type: ignore[assignment]
     verification: VerificationConfig = None  # type: ignore[assignment]
     icp: IcpConfig = None  # type: ignore[assignment]
+    tracking: TrackingConfig = None  # type: ignore[assignment]
 
     def __post_init__(self):
         super().__post_init__()

@@ -410,3 +410,64 @@ class RegistrationResult:
     def seconds(self) -> float:
         """Wall seconds of the whole registration."""
         return sum(self.timings.values())
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """Where a transform is expected: it narrows the search and is no evidence.
+
+    Attributes
+    ----------
+    transform : Similarity
+        ``x_target = scale * rotation @ x_source + translation``.
+    sigma : tuple of float
+        Standard deviations of the place (target units), the direction (degrees) and the scale (relative).
+    """
+
+    transform: Similarity
+    sigma: tuple[float, float, float]
+
+    def allows(self, transform: Similarity, at: np.ndarray) -> bool:
+        """Return whether a transform moves the source point ``at`` (3,) to within three sigma."""
+        shift = np.linalg.norm(transform.apply(at[None]) - self.transform.apply(at[None]))
+        cosine = (np.trace(transform.rotation @ self.transform.rotation.T) - 1.0) / 2.0
+        angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        growth = abs(np.log(transform.scale / self.transform.scale))
+        return bool(np.all(np.array((shift, angle, growth)) <= 3.0 * np.array(self.sigma)))
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What :meth:`csgm_ros.Session.add` says of one frame.
+
+    Attributes
+    ----------
+    stamp : float
+        Of the frame, seconds.
+    state : str
+        ``lost``, ``localizing`` or ``tracking``.
+    reason : str
+        Why the session is in this state, one line.
+    T_map_sensor : (4, 4) ndarray or None
+        Similarity from sensor metres to map units; None unless tracking.
+    scale, scale_sigma : float
+        Map units a metre and its standard deviation; NaN while unknown.
+    covariance : (6, 6) ndarray or None
+        Of a small translation (metres) and rotation (radians) of the sensor, along and about the map's axes.
+    on_map, agreement : float
+        Share of the frame's points near the map, and share of the map's points in view that the frame saw rather
+        than saw through.
+    seconds : float
+        Work on this frame.
+    """
+
+    stamp: float
+    state: str
+    reason: str
+    T_map_sensor: np.ndarray | None
+    scale: float
+    scale_sigma: float
+    covariance: np.ndarray | None
+    on_map: float
+    agreement: float
+    seconds: float

@@ -1,0 +1,62 @@
+"""One frame of the sensor made ready: thinned evenly, with normals, and as a picture of ranges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from csgm_ros.cloud.normals import plane_normals
+from csgm_ros.cloud.voxels import voxelize
+from csgm_ros.tracking import views
+from csgm_ros.tracking.views import View
+
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A frame in the sensor's frame, metres.
+
+    Attributes
+    ----------
+    points, normals : (N, 3) ndarray
+        Voxel means, and unit normals towards the viewpoint; only where a normal is defined.
+    view : View
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    view: View
+
+
+def prepared(points: np.ndarray, voxel: float) -> Frame:
+    """Thin finite (N, 3) points to voxels of edge ``voxel`` metres and give them normals."""
+    return Frame(*_surface(points, voxel), views.look(points))
+
+
+def _surface(points: np.ndarray, voxel: float) -> tuple[np.ndarray, np.ndarray]:
+    grid = voxelize(points, voxel)
+    normals = plane_normals(grid, np.zeros(len(grid.keys), np.int32))
+    means = grid.world(grid.centroids)
+    normals *= -np.sign((means * normals).sum(1, keepdims=True))
+    defined = np.abs(normals).sum(1) > 0.5
+    return means[defined], normals[defined]
+
+
+def resolution(points: np.ndarray, share: float) -> float:
+    """Return the edge of the voxels that suit a sensor: a share of the median range of (N, 3) points."""
+    return share * float(np.median(np.linalg.norm(points, axis=1)))
+
+
+@numba.njit(cache=True, nogil=True)
+def returns(points):
+    """Return the rows of (N, 3) points that are finite and not all zero, which some drivers send for no return."""
+    kept = np.empty((len(points), 3))
+    count = 0
+    for p in range(len(points)):
+        x, y, z = points[p, 0], points[p, 1], points[p, 2]
+        if np.isfinite(x) and np.isfinite(y) and np.isfinite(z) and (x != 0 or y != 0 or z != 0):
+            kept[count, 0], kept[count, 1], kept[count, 2] = x, y, z
+            count += 1
+    return kept[:count]

@@ -1,0 +1,129 @@
+"""Where the sensor is relative to where it started: each frame against the last few that differ."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from csgm_ros.tracking.alignment import align, align_each
+from csgm_ros.tracking import surface
+from csgm_ros.tracking.frames import Frame
+from csgm_ros.tracking.surface import Surface
+
+KEPT = 25  # key frames in the model
+POINTS, COARSE_POINTS = 2500, 500
+
+
+class Keyframe(NamedTuple):
+    """A frame that stays in the model and its pose in the odometry frame."""
+
+    frame: Frame
+    matrix: np.ndarray
+    stamp: float
+
+
+class Odometry:
+    """Frame-to-model odometry in metres.
+
+    Parameters
+    ----------
+    voxel : float
+        Edge of the frames' fine voxels, metres.
+
+    Attributes
+    ----------
+    matrix : (4, 4) ndarray
+        Rigid pose of the last frame in the odometry frame.
+    quality : float
+        Share of the last frame's points on the model.
+    keyframes : deque of Keyframe
+    model : tuple of Surface
+        What the next frame is laid on, coarse to fine.
+    """
+
+    def __init__(self, voxel: float, rng: np.random.Generator):
+        self._voxel, self._rng = voxel, rng
+        self.keyframes: deque[Keyframe] = deque(maxlen=40)
+        self.model: tuple[Surface, ...] = ()
+        self._pose: np.ndarray | None = None  # that was given with the last frame
+        self.matrix, self.quality, self._stamp = np.eye(4), 0.0, 0.0
+        self._velocity = np.eye(4)  # motion of the last interval, in the sensor's frame
+        self._interval = 0.0
+
+    def add(self, frame: Frame, stamp: float, *, pose: np.ndarray | None = None) -> bool:
+        """Place the next frame; False, and nothing changed, where it does not fit.
+
+        ``pose`` is the rigid (4, 4) pose of the sensor in a frame of somebody else's, such as wheel odometry.
+        """
+        motion = None if pose is None or self._pose is None else np.linalg.inv(self._pose) @ pose
+        self._pose = pose
+        if not self.model:
+            self._keep(frame, stamp)
+            self._stamp, self.quality = stamp, 1.0
+            return True
+        interval = stamp - self._stamp
+        chosen = self._rng.permutation(len(frame.points))[:POINTS]
+        points, normals = frame.points[chosen], frame.normals[chosen]
+        few = points[:COARSE_POINTS], normals[:COARSE_POINTS]
+        starts = self._starts(interval, motion)
+        found = scores = None
+        coarse, middle, fine = self.model
+        found, scores = align_each(*few, coarse, starts, (coarse.voxel, 0.7 * coarse.voxel), iterations=8)
+        found, scores = align_each(*few, middle, found, (middle.voxel,), iterations=8)
+        fit = align(points, normals, fine, found[scores.argmax()], (1.5 * self._voxel, self._voxel))
+        self.quality = fit.inliers
+        if fit.inliers < 0.35:
+            return False
+        moved = np.linalg.inv(self.matrix) @ fit.matrix
+        self._velocity, self._interval = moved, interval
+        self.matrix, self._stamp, self.fit = fit.matrix, stamp, fit
+        if self._differs(frame, fit):
+            self._keep(frame, stamp)
+        return True
+
+    def _starts(self, interval: float, motion: np.ndarray | None) -> np.ndarray:
+        if motion is not None:
+            return (self.matrix @ motion)[None]
+        ahead = power(self._velocity, interval / self._interval) if self._interval > 0 else np.eye(4)
+        starts = [self.matrix @ ahead, self.matrix]
+        for axis in range(3):
+            for angle in (-0.14, 0.14):
+                starts.append(self.matrix @ ahead @ turned(axis, angle))
+        return np.stack(starts)
+
+    def _differs(self, frame: Frame, fit) -> bool:
+        last = np.linalg.inv(self.keyframes[-1].matrix) @ fit.matrix
+        angle = np.arccos(np.clip((np.trace(last[:3, :3]) - 1) / 2, -1, 1))
+        shift = np.linalg.norm(last[:3, 3])
+        return angle > 0.1 or shift > 5 * self._voxel or fit.inliers < 0.6
+
+    def _keep(self, frame: Frame, stamp: float) -> None:
+        self.keyframes.append(Keyframe(frame, self.matrix.copy(), stamp))
+        recent = list(self.keyframes)[-KEPT:]
+        parts = [(k.frame.points, k.frame.normals, k.matrix) for k in recent]
+        points = np.concatenate([points @ m[:3, :3].T + m[:3, 3] for points, _, m in parts])
+        normals = np.concatenate([normals @ m[:3, :3].T for _, normals, m in parts])
+        fine = surface.build(points, normals, 1.5 * self._voxel)
+        middle = surface.build(fine.points, fine.normals, 4 * self._voxel)
+        self.model = surface.build(middle.points, middle.normals, 10 * self._voxel), middle, fine
+
+
+def power(matrix: np.ndarray, exponent: float) -> np.ndarray:
+    """Return a rigid (4, 4) motion carried on for ``exponent`` times its time."""
+    from scipy.spatial.transform import Rotation
+
+    out = np.eye(4)
+    out[:3, :3] = Rotation.from_rotvec(exponent * Rotation.from_matrix(matrix[:3, :3]).as_rotvec()).as_matrix()
+    out[:3, 3] = exponent * matrix[:3, 3]
+    return out
+
+
+def turned(axis: int, angle: float) -> np.ndarray:
+    """Return a rotation about an axis of the frame as (4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    out = np.eye(4)
+    out[:3, :3] = Rotation.from_rotvec(angle * np.eye(3)[axis]).as_matrix()
+    return out

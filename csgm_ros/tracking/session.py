@@ -1,0 +1,308 @@
+"""A session: frames in, poses in the map out, with what is known said and nothing else."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import Executor, Future
+from typing import NamedTuple
+
+import numpy as np
+
+from csgm_ros.config import Config, profile
+from csgm_ros.errors import CsgmError, InputError
+from csgm_ros.tracking import frames, localization, maps
+from csgm_ros.tracking.alignment import align
+from csgm_ros.tracking.evidence import Evidence, weigh
+from csgm_ros.tracking.frames import Frame
+from csgm_ros.tracking.localization import Submap, scale_of
+from csgm_ros.tracking.maps import Level, PreparedMap
+from csgm_ros.tracking.odometry import Odometry
+from csgm_ros.tracking.search import Found, search
+from csgm_ros.tracking.views import seen
+from csgm_ros.types import Estimate, Prior
+
+LOST, LOCALIZING, TRACKING = 'lost', 'localizing', 'tracking'
+MIN_POINTS = 200
+SAMPLES = 2500
+GAIN = 0.5  # of a correction of the map's place relative to the odometry
+FLOOR = 0.015, 0.015  # systematic error of a map that is not quite a similarity of the scene: metres, radians
+CORRELATION = 30.0  # neighbouring points share their error: this many count as one
+
+
+class Job(NamedTuple):
+    """A search under way: for which stretch of odometry, and what it found."""
+
+    segment: int
+    future: Future
+
+
+class Session:
+    """Follows a depth sensor through a map of unknown scale.
+
+    Parameters
+    ----------
+    map_points : (N, 3) ndarray or PreparedMap
+        The map in any unit and pose.
+    config : Config, optional
+    seed : int, optional
+        Same frames, configuration and seed: same bits, where no executor decides when a search ends.
+    executor : concurrent.futures.Executor, optional
+        Where the place is searched for while frames keep coming; a pool of one thread will do. Without one
+        :meth:`add` searches itself, and takes seconds while lost.
+    """
+
+    def __init__(
+        self,
+        map_points: np.ndarray | PreparedMap,
+        config: Config | None = None,
+        *,
+        seed: int = 0,
+        executor: Executor | None = None,
+    ):
+        self.config = config or profile()
+        self._map = map_points if isinstance(map_points, PreparedMap) else maps.prepare_map(map_points)
+        self._seed, self._executor = seed, executor
+        self._rng = np.random.default_rng(seed)
+        self._voxel = 0.0  # of the frames, metres; 0 before the first frame
+        self._odometry: Odometry | None = None
+        self._segment = 0  # number of the present stretch of odometry without a break
+        self._recent: list[tuple[float, Frame, np.ndarray]] = []
+        self._stamp = self._heard = self._supported = -np.inf
+        self._state, self._reason = LOST, 'no frame yet'
+        self._place: np.ndarray | None = None  # T_map_odometry of this segment
+        self._confirmed = 0
+        self._scale, self._scale_information = np.nan, 0.0
+        self._level: Level | None = None
+        self._prior: Prior | None = None
+        self._job: Job | None = None
+        self._covariance: np.ndarray | None = None
+
+    @property
+    def state(self) -> str:
+        """``lost``, ``localizing`` or ``tracking``."""
+        return self._state
+
+    def relocalize(self, prior: Prior | None = None) -> None:
+        """Forget the place and search for it again, near ``prior`` (sensor to map) first where one is given."""
+        self._lose(LOCALIZING, 'asked to localise again')
+        self._prior = prior
+
+    def add(self, points: np.ndarray, stamp: float, *, odometry: np.ndarray | None = None) -> Estimate:
+        """Take one frame and say where the sensor is.
+
+        Parameters
+        ----------
+        points : (N, 3) ndarray
+            Metres, in the sensor's frame, whose origin is the viewpoint; rows that are not finite are ignored.
+        stamp : float
+            Seconds.
+        odometry : (4, 4) ndarray, optional
+            Rigid pose of the sensor in a frame that drifts slowly, metres.
+
+        Raises
+        ------
+        InputError
+            For what is no frame; the session goes on with the next one.
+        """
+        started = time.perf_counter()
+        points = _frame_points(points)
+        if not np.isfinite(stamp):
+            raise InputError(f'stamp: {stamp}; give the seconds of the frame')
+        evidence = self._take(points, float(stamp), odometry)
+        pose = None
+        if self._state == TRACKING and evidence is not None:
+            pose = self._place @ self._odometry.matrix
+        return Estimate(
+            float(stamp),
+            self._state,
+            self._reason,
+            pose,
+            self._scale,
+            self._scale_sigma(),
+            None if pose is None else self._covariance,
+            evidence.share if evidence else 0.0,
+            evidence.agreement if evidence else 0.0,
+            time.perf_counter() - started,
+        )
+
+    def _take(self, points: np.ndarray, stamp: float, odometry: np.ndarray | None) -> Evidence | None:
+        self._collect()
+        part = self.config.tracking
+        if stamp < self._stamp:
+            self._break('the stamps went back')
+            self._heard = self._supported = -np.inf
+        self._stamp = stamp
+        if len(points) < MIN_POINTS:
+            self._doubt(f'the frame has {len(points)} points')
+            return None
+        if not self._voxel:
+            self._voxel = frames.resolution(points, part.resolution)
+        if self._odometry is not None and stamp - self._heard > part.max_gap:
+            self._break(f'no usable frame for {stamp - self._heard:.1f} s')
+        self._heard = stamp
+        frame = frames.prepared(points, self._voxel)
+        self._move(frame, stamp, odometry)
+        evidence = self._judge(frame)
+        if self._state != TRACKING:
+            self._seek(stamp)
+        return evidence
+
+    def _move(self, frame: Frame, stamp: float, odometry: np.ndarray | None) -> None:
+        """Carry the odometry on by a frame, or begin a new stretch of it."""
+        if self._odometry is not None and not self._odometry.add(frame, stamp, pose=odometry):
+            self._break('the frame does not fit the last ones')
+        if self._odometry is None:
+            self._odometry = Odometry(self._voxel, np.random.default_rng(self._seed))
+            self._odometry.add(frame, stamp, pose=odometry)
+        self._recent.append((stamp, frame, self._odometry.matrix.copy()))
+        oldest = stamp - self.config.tracking.most_seconds
+        self._recent = [item for item in self._recent if item[0] >= oldest]
+
+    def _judge(self, frame: Frame) -> Evidence | None:
+        """Refine the place by the newest frame and let the evidence decide about the state."""
+        if self._place is None:
+            return None
+        part = self.config.tracking
+        self._refine(frame)
+        evidence = self._evidence(frame)
+        good = evidence.share >= part.min_on_map and evidence.agreement >= part.min_agreement
+        if not good:
+            self._confirmed = 0
+            text = f'{evidence.share:.0%} of the frame on the map, {evidence.agreement:.0%} of the map in view seen'
+            self._doubt(text)
+            return evidence
+        self._supported = self._stamp
+        self._confirmed += 1
+        if self._state != TRACKING and self._confirmed >= part.confirmations:
+            self._state, self._reason = TRACKING, f'{self._confirmed} frames in a row agree with the map'
+        return evidence
+
+    def _evidence(self, frame: Frame) -> Evidence:
+        order = self._rng.permutation(len(frame.points))[:1000]
+        points = self._level.points
+        pose = self._place @ self._odometry.matrix
+        return weigh(frame.points[order], frame.normals[order], self._level.near, points, pose, (frame.view,))
+
+    def _refine(self, frame: Frame) -> None:
+        """Lay the map in view on what was seen lately."""
+        inverse = np.linalg.inv(self._place)
+        view = frame.view._replace(matrix=self._odometry.matrix)
+        visible = np.flatnonzero(seen(self._level.points, inverse, view, 0.15) > 0)
+        if len(visible) < 50:
+            return
+        chosen = self._rng.permutation(visible)[:SAMPLES]
+        points, normals = self._level.points[chosen], self._level.normals[chosen]
+        matrix = inverse
+        for surface in self._odometry.model[1:]:
+            fit = align(points, normals, surface, matrix, (surface.voxel,), iterations=5, min_cosine=0.5)
+            matrix = fit.matrix
+        self._place = _between(self._place, np.linalg.inv(matrix), GAIN)
+        self._covariance = self._covariance_of(fit)
+
+    def _covariance_of(self, fit) -> np.ndarray:
+        """Return the covariance of the sensor's pose in the metric map."""
+        sigma = max(fit.rms, 0.2 * self._voxel)
+        information = fit.information / (CORRELATION * sigma**2)
+        covariance = np.linalg.inv(information + 1e-2 * np.eye(6))
+        arm = self._odometry.matrix[:3, 3] - fit.pivot
+        cross = np.array(((0, -arm[2], arm[1]), (arm[2], 0, -arm[0]), (-arm[1], arm[0], 0)))
+        jacobian = np.zeros((6, 6))  # from (rotation, translation) at the pivot to (translation, rotation) at the sensor
+        jacobian[:3, :3], jacobian[:3, 3:], jacobian[3:, :3] = -cross, np.eye(3), np.eye(3)
+        covariance = jacobian @ covariance @ jacobian.T
+        rotation = self._place[:3, :3] / scale_of(self._place)
+        turn = np.kron(np.eye(2), rotation)
+        return turn @ covariance @ turn.T + np.diag((FLOOR[0] ** 2,) * 3 + (FLOOR[1] ** 2,) * 3)
+
+    def _doubt(self, reason: str) -> None:
+        """Give out nothing for now; after a while without support, say that the pose is lost."""
+        if self._state == TRACKING:
+            self._state, self._reason = LOCALIZING, reason
+        if self._state == LOCALIZING and self._place is not None:
+            if self._stamp - self._supported > self.config.tracking.lost_after:
+                self._state, self._reason = LOST, f'no evidence for {self._stamp - self._supported:.1f} s: {reason}'
+
+    def _break(self, reason: str) -> None:
+        """Begin a new stretch of odometry: where the sensor is, is unknown."""
+        self._odometry = None
+        self._recent = []
+        self._lose(LOST, reason)
+
+    def _lose(self, state: str, reason: str) -> None:
+        self._segment += 1
+        self._place, self._confirmed = None, 0
+        self._state, self._reason = state, reason
+
+    def _seek(self, stamp: float) -> None:
+        """Start a search where none runs and enough was seen."""
+        part = self.config.tracking
+        stale = self._place is None or stamp - self._supported > part.lost_after
+        if self._job is not None or not stale:
+            return
+        if self._recent[-1][0] - self._recent[0][0] < part.first_seconds:
+            return
+        submap = localization.joined([(frame, matrix) for _, frame, matrix in self._recent], self._voxel)
+        scale = self._scale if self._scale_information > 0 else None
+        inputs = submap, self._map, scale, self.config, self._seed
+        self._job = Job(self._segment, _submitted(self._executor, *inputs))
+        if self._state == LOST:
+            self._state, self._reason = LOCALIZING, f'searching: {self._reason}'
+        self._collect()
+
+    def _collect(self) -> None:
+        """Take the result of a search that has ended."""
+        job = self._job
+        if job is None or not job.future.done():
+            return
+        self._job = None
+        found = _outcome(job.future)
+        if job.segment != self._segment:
+            return
+        if found.matrix is None:
+            if self._place is None:
+                self._reason = f'not found: {found.reason}'
+            return
+        self._place, self._confirmed = found.matrix, 0
+        self._supported = self._stamp
+        if not self._scale_information:
+            self._scale, self._scale_information = scale_of(found.matrix), 1.0
+        self._level = self._map.level(self._voxel * self._scale)
+        self._state, self._reason = LOCALIZING, f'found: {found.reason}'
+
+    def _scale_sigma(self) -> float:
+        return 0.02 / np.sqrt(self._scale_information) if self._scale_information else np.nan
+
+
+def _submitted(executor: Executor | None, *inputs) -> Future:
+    if executor is not None:
+        return executor.submit(search, *inputs)
+    future = Future()
+    try:
+        future.set_result(search(*inputs))
+    except Exception as error:
+        future.set_exception(error)
+    return future
+
+
+def _outcome(future: Future) -> Found:
+    """Return what a search found; a submap that cannot be searched for is not found."""
+    try:
+        return future.result()
+    except CsgmError as error:
+        return Found(None, str(error))
+
+
+def _frame_points(points: np.ndarray) -> np.ndarray:
+    points = np.asarray(points)
+    if points.dtype.kind not in 'iuf' or points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f'frame: {points.dtype} of shape {points.shape}; give an (N, 3) array of x, y, z in metres')
+    return frames.returns(points)
+
+
+def _between(old: np.ndarray, new: np.ndarray, share: float) -> np.ndarray:
+    """Return a similarity a share of the way from one to another of about the same scale."""
+    from csgm_ros.tracking.odometry import power
+
+    scale = scale_of(old)
+    unit = np.diag((1 / scale, 1 / scale, 1 / scale, 1.0))
+    step = np.linalg.inv(old @ unit) @ new @ unit
+    return old @ unit @ power(step, share) @ np.linalg.inv(unit)
