@@ -13,7 +13,6 @@ from csgm_ros.tracking import views
 from csgm_ros.tracking.views import View
 
 
-
 @dataclass(frozen=True, eq=False)
 class Frame:
     """A frame in the sensor's frame, metres.

@@ -23,6 +23,7 @@ LEVELS = (1.5, 3.0, 6.0, 12.0)  # edges of a submap's voxels, frame voxels
 SCALES = (0.85, 0.92, 1.08, 1.17)  # tried around the scale of a hypothesis
 VIEWS = 6
 FEW, MANY = 1200, 4000
+GLANCE = 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +90,21 @@ class Localizer:
         tried = (1.0,) if fixed_scale else (1.0, *SCALES)
         places = [self._best_scale(place, tried) for place in places]
         return self._distinct([self.weighed(self.refined(place.matrix, MANY)) for place in places])
+
+    def promising(self, hypotheses: np.ndarray, count: int = 12) -> np.ndarray:
+        """Return the best of many (H, 4, 4) hypotheses after a look at few points."""
+        found, scores = [], []
+        few, own = self._points[:GLANCE], (self._own[0][:GLANCE], self._own[1][:GLANCE])
+        for matrix in hypotheses:
+            start = np.linalg.inv(matrix)
+            for level in (3, 2):
+                surface_ = self._submap.levels[level]
+                start = align(few, None, surface_, start, (surface_.voxel,), iterations=5).matrix
+            matrix = np.linalg.inv(start)
+            found.append(matrix)
+            near = self.level(scale_of(matrix)).near
+            scores.append(weigh(*own, near, few, matrix, self._submap.views[-2:]).score)
+        return np.stack(found)[np.argsort(-np.array(scores), kind='stable')[:count]]
 
     def _best_scale(self, place: Place, factors: Sequence[float]) -> Place:
         center = self._own[0].mean(0)

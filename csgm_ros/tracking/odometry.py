@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from csgm_ros.tracking.alignment import align, align_each
 from csgm_ros.tracking import surface
+from csgm_ros.tracking.alignment import align, align_each
 from csgm_ros.tracking.frames import Frame
 from csgm_ros.tracking.surface import Surface
 

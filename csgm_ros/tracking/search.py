@@ -1,4 +1,4 @@
-"""Where in the map a submap lies, without any idea or with one."""
+"""Where in the map a submap lies: near where it was, or anywhere."""
 
 from __future__ import annotations
 
@@ -8,8 +8,36 @@ import numpy as np
 
 from csgm_ros.config import Config, replaced
 from csgm_ros.registration import register
-from csgm_ros.tracking.localization import Localizer, Submap
+from csgm_ros.tracking.localization import Localizer, Place, Submap, scale_of, scaling
 from csgm_ros.tracking.maps import PreparedMap
+from csgm_ros.types import Prior
+
+TURNS = 700  # tried about a pose that is roughly known: with 90 degrees of freedom, 15 to 20 degrees apart
+SIGMA = 1.0, 45.0, 0.05  # of a sensor that was lost where it was last seen: metres, degrees, relative scale
+
+
+class Query(NamedTuple):
+    """What is looked for.
+
+    Attributes
+    ----------
+    submap : Submap
+    scale : float or None
+        Map units a metre, where it is known.
+    prior : Prior or None
+        Of the transform from the sensor to the map.
+    sensor : (4, 4) ndarray
+        Rigid pose of the sensor in the submap.
+    enough : tuple of float
+        Closeness on the map and agreement of a place that is as good as those that were tracked; the search ends
+        with the first. Infinite while none was tracked.
+    """
+
+    submap: Submap
+    scale: float | None
+    prior: Prior | None
+    sensor: np.ndarray
+    enough: tuple[float, float] = (np.inf, np.inf)
 
 
 class Found(NamedTuple):
@@ -19,18 +47,45 @@ class Found(NamedTuple):
     reason: str
 
 
-def search(submap: Submap, prepared: PreparedMap, scale: float | None, config: Config, seed: int) -> Found:
-    """Search the whole map; ``scale`` in map units a metre where it is known."""
-    points = submap.levels[0].points
-    if scale is not None:
-        config = replaced(config, {'scale.estimate_scale': False})
-        points = scale * points
-    result = register(points, prepared.points, config, seed=seed)
-    if not result.accepted:
-        return Found(None, result.reason)
-    matrix = result.T_target_source
-    if scale is not None:
-        matrix = matrix @ np.diag((scale, scale, scale, 1.0))
-    localizer = Localizer(submap, prepared, np.random.default_rng(seed))
-    best = localizer.best(matrix[None], fixed_scale=scale is not None)[0]
-    return Found(best.matrix, result.reason)
+def search(query: Query, prepared: PreparedMap, config: Config, seed: int) -> Found:
+    """Search near the prior first, then everywhere."""
+    rng = np.random.default_rng(seed)
+    localizer = Localizer(query.submap, prepared, rng)
+    known = query.scale is not None
+    if query.prior is not None and known:
+        near = localizer.best(localizer.promising(around(query, rng)), fixed_scale=True)
+        if near and _enough(near[0], query):
+            return Found(near[0].matrix, 'near where it was expected')
+    points = query.submap.levels[0].points * (query.scale if known else 1.0)
+    result = register(points, prepared.points, replaced(config, {'scale.estimate_scale': not known}), seed=seed)
+    matrix = result.T_target_source @ scaling(query.scale if known else 1.0, np.zeros(3))
+    best = localizer.best(matrix[None], fixed_scale=known)
+    if best and (result.accepted or _enough(best[0], query)):
+        return Found(best[0].matrix, result.reason if result.accepted else 'as close as where it was tracked')
+    return Found(None, result.reason)
+
+
+def around(query: Query, rng: np.random.Generator) -> np.ndarray:
+    """Return (H, 4, 4) poses of the submap that a prior allows, from likely to unlikely."""
+    from scipy.spatial.transform import Rotation
+
+    sigma, scale = query.prior.sigma, query.scale
+    vectors = rng.normal(size=(TURNS, 3)) * np.radians(sigma[1])
+    shifts = rng.normal(size=(TURNS, 3)) * sigma[0] * (np.arange(TURNS) % 2)[:, None]
+    order = np.argsort(np.linalg.norm(vectors, axis=1))
+    vectors, shifts = np.concatenate((np.zeros((1, 3)), vectors[order])), np.concatenate((np.zeros((1, 3)), shifts))
+    poses = np.tile(np.eye(4), (len(vectors), 1, 1))
+    poses[:, :3, :3] = scale * query.prior.transform.rotation @ Rotation.from_rotvec(vectors).as_matrix()
+    poses[:, :3, 3] = query.prior.transform.translation + shifts
+    return poses @ np.linalg.inv(query.sensor)
+
+
+def expected(matrix: np.ndarray) -> Prior:
+    """Return the prior of a sensor that was last seen at a pose (4, 4) in the map."""
+    from csgm_ros.types import Similarity
+
+    return Prior(Similarity.from_matrix(matrix), (SIGMA[0] * scale_of(matrix), *SIGMA[1:]))
+
+
+def _enough(place: Place, query: Query) -> bool:
+    return place.evidence.on_map >= query.enough[0] and place.evidence.agreement >= query.enough[1]

@@ -14,10 +14,10 @@ from csgm_ros.tracking import frames, localization, maps
 from csgm_ros.tracking.alignment import align
 from csgm_ros.tracking.evidence import Evidence, weigh
 from csgm_ros.tracking.frames import Frame
-from csgm_ros.tracking.localization import Submap, scale_of
+from csgm_ros.tracking.localization import scale_of
 from csgm_ros.tracking.maps import Level, PreparedMap
 from csgm_ros.tracking.odometry import Odometry
-from csgm_ros.tracking.search import Found, search
+from csgm_ros.tracking.search import Found, Query, expected, search
 from csgm_ros.tracking.views import seen
 from csgm_ros.types import Estimate, Prior
 
@@ -25,6 +25,7 @@ LOST, LOCALIZING, TRACKING = 'lost', 'localizing', 'tracking'
 MIN_POINTS = 200
 SAMPLES = 2500
 GAIN = 0.5  # of a correction of the map's place relative to the odometry
+SIMILAR = 0.6  # of what was tracked: closeness at which a place is as good
 FLOOR = 0.015, 0.015  # systematic error of a map that is not quite a similarity of the scene: metres, radians
 CORRELATION = 30.0  # neighbouring points share their error: this many count as one
 
@@ -76,6 +77,7 @@ class Session:
         self._prior: Prior | None = None
         self._job: Job | None = None
         self._covariance: np.ndarray | None = None
+        self._typical = np.zeros(3)  # closeness, share and agreement of tracked frames
 
     @property
     def state(self) -> str:
@@ -173,9 +175,20 @@ class Session:
             return evidence
         self._supported = self._stamp
         self._confirmed += 1
+        if self._state == TRACKING:
+            self._typical = 0.9 * self._typical + 0.1 * np.array(evidence[:3])
+            self._prior = expected(self._place @ self._odometry.matrix)
         if self._state != TRACKING and self._confirmed >= part.confirmations:
+            if not self._typical.any():
+                self._typical = np.array(evidence[:3])
             self._state, self._reason = TRACKING, f'{self._confirmed} frames in a row agree with the map'
         return evidence
+
+    def _enough(self) -> tuple[float, float]:
+        """Return what a place must reach that is as good as those tracked: closeness, agreement."""
+        if not self._typical.any():
+            return np.inf, np.inf
+        return SIMILAR * self._typical[0], 1.0 - 2.0 * (1.0 - self._typical[2])
 
     def _evidence(self, frame: Frame) -> Evidence:
         order = self._rng.permutation(len(frame.points))[:1000]
@@ -206,7 +219,9 @@ class Session:
         covariance = np.linalg.inv(information + 1e-2 * np.eye(6))
         arm = self._odometry.matrix[:3, 3] - fit.pivot
         cross = np.array(((0, -arm[2], arm[1]), (arm[2], 0, -arm[0]), (-arm[1], arm[0], 0)))
-        jacobian = np.zeros((6, 6))  # from (rotation, translation) at the pivot to (translation, rotation) at the sensor
+        jacobian = np.zeros(
+            (6, 6)
+        )  # from (rotation, translation) at the pivot to (translation, rotation) at the sensor
         jacobian[:3, :3], jacobian[:3, 3:], jacobian[3:, :3] = -cross, np.eye(3), np.eye(3)
         covariance = jacobian @ covariance @ jacobian.T
         rotation = self._place[:3, :3] / scale_of(self._place)
@@ -217,9 +232,9 @@ class Session:
         """Give out nothing for now; after a while without support, say that the pose is lost."""
         if self._state == TRACKING:
             self._state, self._reason = LOCALIZING, reason
-        if self._state == LOCALIZING and self._place is not None:
-            if self._stamp - self._supported > self.config.tracking.lost_after:
-                self._state, self._reason = LOST, f'no evidence for {self._stamp - self._supported:.1f} s: {reason}'
+        alone = self._stamp - self._supported
+        if self._state == LOCALIZING and self._place is not None and alone > self.config.tracking.lost_after:
+            self._state, self._reason = LOST, f'no evidence for {alone:.1f} s: {reason}'
 
     def _break(self, reason: str) -> None:
         """Begin a new stretch of odometry: where the sensor is, is unknown."""
@@ -238,11 +253,13 @@ class Session:
         stale = self._place is None or stamp - self._supported > part.lost_after
         if self._job is not None or not stale:
             return
-        if self._recent[-1][0] - self._recent[0][0] < part.first_seconds:
+        wanted = part.first_seconds * (0.5 if self._scale_information else 1.0)
+        if self._recent[-1][0] - self._recent[0][0] < wanted:
             return
         submap = localization.joined([(frame, matrix) for _, frame, matrix in self._recent], self._voxel)
         scale = self._scale if self._scale_information > 0 else None
-        inputs = submap, self._map, scale, self.config, self._seed
+        query = Query(submap, scale, self._prior, self._odometry.matrix, self._enough())
+        inputs = query, self._map, self.config, self._seed
         self._job = Job(self._segment, _submitted(self._executor, *inputs))
         if self._state == LOST:
             self._state, self._reason = LOCALIZING, f'searching: {self._reason}'

@@ -1,0 +1,167 @@
+"""A session on real frames and on what is no frame; the parts of it on surfaces whose truth is exact."""
+
+import numpy as np
+import pytest
+
+from csgm_ros import Session
+from csgm_ros.errors import InputError
+from csgm_ros.tracking import frames, maps, surface, views
+from csgm_ros.tracking.alignment import align
+from csgm_ros.tracking.localization import moved
+from csgm_ros.tracking.odometry import Odometry, power
+
+
+def corner(rng, count=6000):
+    """Three walls, a step and a ball: (N, 3) metres, the viewpoint at the origin, z forward."""
+    a, b = rng.uniform(-1, 1, (2, count))
+    walls = [np.stack(w, 1) for w in ((a, b, 0 * a + 2.4), (0 * a - 1, a, b + 1.4), (a, 0 * a + 1, b + 1.4))]
+    ball = rng.normal(size=(count // 3, 3))
+    ball = np.array([0.3, 0.4, 1.7]) + 0.3 * ball / np.linalg.norm(ball, axis=1, keepdims=True)
+    box = np.stack((0.3 * a - 0.4, 0.3 * b - 0.3, 0 * a + 1.9), 1)
+    return np.concatenate([*walls, ball, box])
+
+
+def motion(angles, shift):
+    from scipy.spatial.transform import Rotation
+
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_euler('xyz', angles, degrees=True).as_matrix()
+    matrix[:3, 3] = shift
+    return matrix
+
+
+@pytest.mark.parametrize('scale', [1.0, 0.07, 30.0])
+def test_alignment_finds_a_known_rigid_motion_and_keeps_the_scale(scale):
+    rng = np.random.default_rng(0)
+    frame = frames.prepared(corner(rng), 0.03)
+    own = surface.build(frame.points, frame.normals, 0.12)
+    truth = motion((2.0, -3.0, 1.5), (0.03, -0.02, 0.04)) @ np.diag((1 / scale,) * 3 + (1.0,))
+    points = moved(np.linalg.inv(truth), corner(rng))
+    start = motion((0, 0, 0), (0, 0, 0)) @ np.diag((1 / scale,) * 3 + (1.0,))
+    fit = align(points[::5], None, own, start, (0.12, 0.05), iterations=30)
+    assert np.allclose(fit.matrix, truth, atol=4e-3)
+    assert np.cbrt(np.linalg.det(fit.matrix[:3, :3])) == pytest.approx(1 / scale, rel=1e-9)
+
+
+def test_a_view_tells_what_is_on_before_and_behind_a_surface():
+    rng = np.random.default_rng(0)
+    wall = np.column_stack((rng.uniform(-1, 1, (40000, 2)), np.full(40000, 2.0)))
+    probes = np.array([(0.1, 0.2, 2.0), (0.1, 0.2, 1.0), (0.1, 0.2, 3.0), (0.0, 0.0, -2.0)])
+    assert views.seen(probes, np.eye(4), views.look(wall), 0.04).tolist() == [1, -1, 0, 0]
+
+
+def test_odometry_follows_a_known_walk():
+    rng = np.random.default_rng(1)
+    odometry = Odometry(0.03, np.random.default_rng(0))
+    step, pose = motion((1.5, 4.0, -2.0), (0.03, 0.01, -0.04)), np.eye(4)
+    for k in range(6):
+        assert odometry.add(frames.prepared(moved(np.linalg.inv(pose), corner(rng)), 0.03), 0.1 * k)
+        assert np.allclose(odometry.matrix, pose, atol=0.02)
+        pose = pose @ step
+
+
+def test_odometry_refuses_what_shows_another_place():
+    rng = np.random.default_rng(2)
+    odometry = Odometry(0.03, np.random.default_rng(0))
+    odometry.add(frames.prepared(corner(rng), 0.03), 0.0)
+    before = odometry.matrix.copy()
+    elsewhere = rng.normal(size=(6000, 3)) * 0.4 + np.array([3.0, -2.0, 6.0])
+    assert not odometry.add(frames.prepared(elsewhere, 0.03), 0.1)
+    assert np.array_equal(odometry.matrix, before)
+
+
+def test_a_motion_carried_on_twice_is_the_motion_twice():
+    step = motion((3.0, 0.0, 0.0), (0.1, 0.0, 0.0))
+    assert np.allclose(power(step, 2.0), step @ step, atol=1e-12)
+    assert np.allclose(power(step, 0.0), np.eye(4))
+
+
+@pytest.fixture(scope='module')
+def kitchen(shared):
+    return Sequence(shared / 'data' / 'sequence_kitchen')
+
+
+class Sequence:
+    def __init__(self, folder):
+        from csgm_ros.io.files import read_cloud
+
+        with np.load(folder / 'frames.npz') as file:
+            self.depth, self.stamps, self.truth, k = (file[n] for n in ('depth', 'stamp', 'T_map_camera', 'K'))
+        self.map = read_cloud(folder / 'map.ply').points
+        v, u = np.mgrid[: self.depth.shape[1], : self.depth.shape[2]]
+        self._rays = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones(u.shape)], axis=-1)
+
+    def points(self, number):
+        return (self._rays * (self.depth[number][..., None] / 1000.0)).reshape(-1, 3)
+
+    def right(self, number, matrix):
+        """The rule of the data: 10 cm, 5 degrees, 6 %."""
+        truth, points = self.truth[number], self.points(number)
+        scales = [np.cbrt(np.linalg.det(m[:3, :3])) for m in (matrix, truth)]
+        turn = (matrix[:3, :3] / scales[0]) @ (truth[:3, :3] / scales[1]).T
+        angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
+        shift = np.linalg.norm(moved(matrix, points) - moved(truth, points), axis=1).mean() / scales[1]
+        return shift < 0.1 and angle < 5 and abs(scales[0] / scales[1] - 1) < 0.06
+
+
+def test_a_walk_is_localised_tracked_interrupted_and_found_again(kitchen):
+    session = Session(kitchen.map)
+    estimates = {}
+    for k in (*range(12), 75, 76, 82, *range(86, 102)):  # 75 to 85 are blocked
+        estimates[k] = session.add(kitchen.points(k), kitchen.stamps[k])
+        given = estimates[k].T_map_sensor
+        assert (given is not None) == (estimates[k].state == 'tracking')
+        assert given is None or kitchen.right(k, given)
+    states = {k: estimate.state for k, estimate in estimates.items()}
+    assert states[0] == 'lost'
+    assert states[11] == states[101] == 'tracking'
+    assert 'tracking' not in (states[75], states[76], states[82], states[86])
+    assert 'points' in estimates[82].reason
+    sigma = np.sqrt(np.diag(estimates[11].covariance))
+    assert (sigma > 0).all()
+    assert (sigma < 0.2).all()
+
+
+@pytest.mark.parametrize(
+    ('points', 'says'),
+    [(np.zeros((5, 2)), r'\(N, 3\)'), (np.array([['a', 'b', 'c']]), 'frame'), (np.zeros(3), r'\(N, 3\)')],
+)
+def test_what_is_no_frame_is_refused_and_the_session_lives_on(points, says):
+    session = Session(corner(np.random.default_rng(0)))
+    with pytest.raises(InputError, match=says):
+        session.add(points, 0.0)
+    with pytest.raises(InputError, match='stamp'):
+        session.add(corner(np.random.default_rng(0)), np.nan)
+    assert session.add(np.full((10, 3), np.nan), 0.0).state == 'lost'
+
+
+def test_a_prepared_map_survives_the_file(tmp_path):
+    prepared = maps.prepare_map(corner(np.random.default_rng(0)))
+    maps.save_map(tmp_path / 'map.npz', prepared)
+    loaded = maps.load_map(tmp_path / 'map.npz')
+    assert all(np.array_equal(a, b) for a, b in zip(prepared, loaded, strict=True))
+
+
+def damaged(path, **changed):
+    with np.load(path) as file:
+        arrays = {**{name: file[name] for name in file.files}, **changed}
+    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+
+
+@pytest.mark.parametrize(
+    ('damage', 'says'),
+    [
+        (lambda path: path.write_bytes(path.read_bytes()[:100]), 'damaged'),
+        (lambda path: path.unlink(), 'no such file'),
+        (lambda path: damaged(path, csgm_map=99), 'version 99'),
+        (lambda path: damaged(path, csgm_map=None), 'no prepared map'),
+        (lambda path: damaged(path, normals=np.zeros((3, 3))), 'damaged'),
+        (lambda path: damaged(path, voxel=-1.0), 'damaged'),
+    ],
+)
+def test_a_file_that_is_no_sound_prepared_map_is_refused_with_the_remedy(tmp_path, damage, says):
+    path = tmp_path / 'map.npz'
+    maps.save_map(path, maps.prepare_map(corner(np.random.default_rng(0))))
+    damage(path)
+    with pytest.raises(InputError, match=says):
+        maps.load_map(path)
