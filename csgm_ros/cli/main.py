@@ -148,6 +148,8 @@ def _register(options) -> int:
     if options.json:
         files.check_writable(options.json, ('.json',))
     source, target = _clouds(options, config)
+    for name, cloud in (('source', source), ('target', target)):
+        _say_left_out(name, cloud.points)
 
     from csgm_ros.registration import register
 
@@ -165,6 +167,18 @@ def _register(options) -> int:
     elif options.output:
         print(f'csgm: {options.output} is not written, as the result is rejected', file=sys.stderr)
     return ACCEPTED if result.accepted else REJECTED
+
+
+def _say_left_out(name: str, points) -> None:
+    """Say which points the registration leaves out at once; the output keeps them."""
+    import numpy as np
+
+    from csgm_ros.cloud.outliers import without_extremes
+
+    finite = points[np.isfinite(points).all(axis=1)]
+    extreme = len(finite) - len(without_extremes(finite))
+    if extreme:
+        print(f'csgm: {name}: {extreme} of {len(points)} points lie absurdly far out and are left out', file=sys.stderr)
 
 
 def _apply(options) -> int:
