@@ -74,6 +74,7 @@ setup(
         'formats': FORMATS,
         'batch': BATCH,
         'test': ['pytest', 'pytest-timeout', 'hypothesis', 'selenium', *FORMATS, *BATCH],
+        'fuzz': ['atheris'],
         'peers': ['kiss-matcher', 'small-gicp', 'pycpd', 'jrmpc'],
         'dev': [
             'ruff',
