@@ -126,3 +126,9 @@ def test_degenerate_is_an_input_error_and_a_value_error():
     assert issubclass(DegenerateCloudError, InputError)
     assert issubclass(InputError, CsgmError)
     assert issubclass(InputError, ValueError)
+
+
+@pytest.mark.parametrize('extremes', [[[1e9, 0, 0]], [[1e9, 0, 0], [-1e9, 5, 0], [3, 1e12, 0]]])
+def test_a_few_points_absurdly_far_out_make_no_line_of_a_cloud(extremes):
+    points = np.random.default_rng(0).normal(size=(400, 3))
+    assert len(finite_points(np.vstack([points, extremes]))) == 400 + len(extremes)
