@@ -110,26 +110,25 @@ class Results:
         os.close(self._journal)
         self._lock.close()
 
-    def append(self, row: Row) -> None:
-        """Add one row; on return it is on the disk.
+    def append(self, *rows: Row) -> None:
+        """Add rows, those that are there already left out; on return they are on the disk.
 
         Raises
         ------
         InputError
             When the disk is full; what was there before stays.
         """
-        if row['key'] in self.keys:
-            return
+        fresh = {row['key']: row for row in rows if row['key'] not in self.keys}
         with self._writing():
             try:
-                _write(self._journal, _line(row))
+                _write(self._journal, b''.join(map(_line, fresh.values())))
                 os.fsync(self._journal)
             except OSError:
-                os.ftruncate(self._journal, self._length)  # half a row is none
+                os.ftruncate(self._journal, self._length)  # half a row is none, and nobody was told of the others
                 raise
         self._length = os.fstat(self._journal).st_size
-        self._recent[row['key']] = row
-        self.keys.add(row['key'])
+        self._recent |= fresh
+        self.keys |= set(fresh)
         if len(self._recent) >= ROWS_A_PART:
             self.commit()
 

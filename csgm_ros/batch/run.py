@@ -17,7 +17,7 @@ from csgm_ros.batch.results import Results
 from csgm_ros.batch.work import failed, register_pair
 from csgm_ros.errors import InputError
 
-OUTSTANDING = 1000  # pairs that the scheduler knows at a time: a backlog for every worker, and few megabytes
+OUTSTANDING = 1000  # pairs that the scheduler knows at least at a time, else two a worker: a few megabytes
 BYTES_A_WORKER = 1.5e9  # a registration of two clouds of some million points
 
 
@@ -62,14 +62,14 @@ def run(pairs: Sequence[Pair], results: Results, client, *, threads: int = 1, re
                 queue.add(future)
 
         submit(OUTSTANDING)
-        for future in queue:
-            pair = going.pop(future.key)
-            row = _row(future, pair)
-            results.append(row)
-            kind = 'failed' if row['failed'] else 'accepted' if row['accepted'] else 'rejected'
-            counts[kind] += 1
-            progress(counts)
-            submit(1)
+        for futures in queue.batches():  # those done since the last look share one wait for the disk
+            rows = [_row(future, going.pop(future.key)) for future in futures]
+            results.append(*rows)
+            for row in rows:
+                counts['failed' if row['failed'] else 'accepted' if row['accepted'] else 'rejected'] += 1
+                progress(counts)
+            most = max(OUTSTANDING, 2 * sum(client.nthreads().values()))
+            submit(max(0, most - len(going)))
     results.commit()
     return counts
 
