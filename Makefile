@@ -12,13 +12,15 @@ TF2 := $(if $(wildcard test/build_tf2_msgs.sh),$(VENV)/.tf2_msgs)
 # A sourced ROS install must not mix with the wheels of the virtual environment.
 unexport PYTHONPATH PYTHONHOME AMENT_PREFIX_PATH LD_LIBRARY_PATH RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup demo test lint bench config lock clean
+.PHONY: help setup demo test lint bench soak config lock licences clean
 
 help:
 	@echo 'make demo    the live node registers a simulated Kinect and a simulated SfM cloud'
 	@echo 'make test    every test (TESTS=test/test_files.py for some)'
 	@echo 'make lint    style, format, docstrings, types'
 	@echo 'make bench   measured figures, with their references beside them (hours; ARGS=--quick for minutes)'
+	@echo 'make soak    the node under load for 20 minutes (ARGS="--minutes 5"): nothing may grow'
+	@echo 'make licences  what an installation is made of (ARGS=--json for a CycloneDX bill of materials)'
 	@echo 'make clean   remove what the others made, the virtual environment included'
 	@echo 'PYTHON=...   interpreter to use (3.11 or 3.12)    VENV=...  where the environment lives'
 
@@ -44,6 +46,12 @@ lint: $(READY)
 
 bench: $(READY)
 	@set -e; for script in $$(grep -l __main__ $(BENCH)/*.py); do echo "== $$script"; $(PY) "$$script" $(ARGS); done
+
+soak: $(READY)
+	@cd test && ROS_DOMAIN_ID=20 $(abspath $(PY)) -m ros_helpers.soak $(ARGS)
+
+licences: $(READY)
+	@$(PY) .ci/licences.py $(ARGS)
 
 config: $(READY)
 	@$(PY) .ci/defaults.py

@@ -4,9 +4,11 @@ Two sensors of 300,000 points at 10 Hz that die and come back, one small pair th
 change parameters, deactivate, clean up, cancel and register at random. Every few seconds the process is measured.
 """
 
+import argparse
 import contextlib
 import os
 import random
+import sys
 import threading
 import time
 from dataclasses import dataclass, field
@@ -16,11 +18,13 @@ import numpy as np
 
 from csgm_ros.ros.client.connection import Client, NoAnswerError
 from ros_helpers.process import NodeProcess, Process
-from ros_helpers.waiting import until
 
 SPACE = '/soak'
 PERIOD = 3.0  # seconds between two measurements
 ANSWER = 60.0  # seconds within which every operation has to be answered
+MEMORY = 0.05  # growth of the resident memory after warm-up
+HANDLES = 6  # threads or descriptors that come and go with the sensors and the pool of a running registration
+AGE = 5.0  # seconds between the arrival of a message and its handling, on 2 cores that others use too
 SHARED = Path('/dev/shm')
 
 
@@ -40,6 +44,8 @@ class Figures:
         Operations without an answer.
     ages : list of float
         Longest delay of a message from its arrival to its callback since the node was last activated, seconds.
+    tracebacks : int
+        In the log of the node.
     """
 
     rows: list = field(default_factory=list)
@@ -47,6 +53,7 @@ class Figures:
     slowest: dict = field(default_factory=dict)
     unanswered: list = field(default_factory=list)
     ages: list = field(default_factory=list)
+    tracebacks: int = 0
 
     def table(self) -> str:
         """Return the figures as text: ten moments, and the operations."""
@@ -68,15 +75,26 @@ class Figures:
         Maxima are compared: in between the node may be inactive.
         """
         quarter = max(1, len(self.rows) // 4)
-        early, late = (
-            np.array(part)[:, 1:].max(axis=0) for part in (self.rows[quarter : 2 * quarter], self.rows[-quarter:])
-        )
+        parts = self.rows[quarter : 2 * quarter], self.rows[-quarter:]
+        early, late = (np.array(part)[:, 1:].max(axis=0) for part in parts)
         return (
             float(late[0] / early[0] - 1),
             int(late[1] - early[1]),
             int(late[2] - early[2]),
             float(late[3] - early[3]),
         )
+
+    def complaints(self) -> list[str]:
+        """Return what is beyond the bounds."""
+        memory, threads, descriptors, shared = self.growth()
+        found = [f'unanswered: {each}' for each in self.unanswered]
+        found += [f'{self.tracebacks} tracebacks in the log'] if self.tracebacks else []
+        found += [f'memory grew by {100 * memory:.1f} %'] if memory > MEMORY else []
+        found += [f'{threads} more threads'] if threads > HANDLES else []
+        found += [f'{descriptors} more descriptors'] if descriptors > HANDLES else []
+        found += [f'{shared:.1f} MB more in /dev/shm'] if shared > 1.0 else []
+        found += [f'a message waited {max(self.ages):.1f} s'] if max(self.ages) > AGE else []
+        return found
 
 
 class Disturber(threading.Thread):
@@ -88,7 +106,7 @@ class Disturber(threading.Thread):
         self._figures, self._lock, self._stop_asked = figures, lock, stop
 
     def run(self):
-        with Client(f'{SPACE}/csgm') as client:
+        with Client(f'{SPACE}/csgm', ANSWER) as client:
             operations = {
                 'register': lambda: client.register(timeout=ANSWER),
                 'cancel': client.cancel,
@@ -128,17 +146,19 @@ def sensor(topic: str, points: int, rate: float):
     return Process('-m', 'ros_helpers.send_clouds', topic, '--points', str(points), '--rate', str(rate), '--reliable')
 
 
-def shared_megabytes() -> float:
-    """Return what this machine's /dev/shm holds of Fast DDS."""
+def shared_megabytes(pid: int) -> float:
+    """Return what a process holds of /dev/shm: the segments that lie beside its locks."""
     total = 0
-    for path in SHARED.glob('*fastrtps*'):
+    for entry in Path(f'/proc/{pid}/fd').iterdir():
         with contextlib.suppress(OSError):
-            total += path.stat().st_size
+            path = Path(os.readlink(entry))
+            if path.parent == SHARED and path.name.endswith('_el'):
+                total += path.with_name(path.name.removesuffix('_el')).stat().st_size
     return total / 2**20
 
 
 def soak(seconds: float, *, points: int = 300_000, rate: float = 10.0, pause: float = 2.0, rebirth: float = 20.0):
-    """Run the node for so long; return (figures, log of the node).
+    """Run the node for so long; return the figures.
 
     Parameters
     ----------
@@ -154,8 +174,8 @@ def soak(seconds: float, *, points: int = 300_000, rate: float = 10.0, pause: fl
     node = NodeProcess('-r', f'__ns:={SPACE}', '-p', 'autostart:=true', '-p', 'time_budget:=5.0')
     sensors = []
     try:
-        with Client(f'{SPACE}/csgm') as client:
-            until(lambda: client.state() == 'active', 'the node to start itself', 300.0)
+        node.wait_log('active: source', 600.0)  # its kernels may have to be compiled
+        with Client(f'{SPACE}/csgm', ANSWER) as client:
             sensors = [sensor(f'{SPACE}/{name}', points, rate) for name in ('source', 'target')]
             clients = [Disturber(number, figures, lock, stop, pause) for number in range(3)]
             for each in clients:
@@ -166,19 +186,15 @@ def soak(seconds: float, *, points: int = 300_000, rate: float = 10.0, pause: fl
                 each.join(2 * ANSWER)
                 if each.is_alive():
                     figures.unanswered.append('a client waits for ever')
+        figures.tracebacks = node.log.count('Traceback')
         node.close()
-        return figures, node_log(node)
+        return figures
     finally:
         stop.set()
         for each in sensors:
             each.kill()
         if node.popen.poll() is None:
             node.kill()
-
-
-def node_log(node) -> str:
-    """Return what the node said; its file is gone once it is closed."""
-    return getattr(node, 'last_log', '')
 
 
 def watch(seconds, node, client, sensors, figures, rebirth, size):
@@ -190,7 +206,9 @@ def watch(seconds, node, client, sensors, figures, rebirth, size):
         with contextlib.suppress(NoAnswerError):
             values = client.status().values
             figures.ages.append(max(float(values[name]['longest delay ms']) for name in ('source', 'target')) / 1e3)
-        figures.rows.append((now - started, node.resident_mb(), node.threads(), node.descriptors(), shared_megabytes()))
+        figures.rows.append(
+            (now - started, node.resident_mb(), node.threads(), node.descriptors(), shared_megabytes(node.pid))
+        )
         if now - born > rebirth:
             born, which = now, turn % 2
             sensors[which].kill() if turn % 4 < 2 else sensors[which].end()
@@ -199,7 +217,18 @@ def watch(seconds, node, client, sensors, figures, rebirth, size):
         time.sleep(max(0.0, now + PERIOD - time.monotonic()))
 
 
-def cpu_seconds(pid: int) -> float:
-    """Return the CPU seconds a process has used."""
-    fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+def main():
+    """Soak for so many minutes, print the table, and return 1 where something grew or stayed unanswered."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--minutes', type=float, default=20.0)
+    parser.add_argument('--points', type=int, default=300_000)
+    options = parser.parse_args()
+    figures = soak(60 * options.minutes, points=options.points)
+    print(figures.table())
+    complaints = figures.complaints()
+    print('\n'.join(complaints) or 'nothing grew, everything was answered')
+    return bool(complaints)
+
+
+if __name__ == '__main__':
+    sys.exit(main())
