@@ -84,12 +84,12 @@ class Figures:
             float(late[3] - early[3]),
         )
 
-    def complaints(self) -> list[str]:
-        """Return what is beyond the bounds."""
+    def complaints(self, most: float = MEMORY) -> list[str]:
+        """Return what is beyond the bounds; ``most`` is the growth of memory, larger while the node warms up."""
         memory, threads, descriptors, shared = self.growth()
         found = [f'unanswered: {each}' for each in self.unanswered]
         found += [f'{self.tracebacks} tracebacks in the log'] if self.tracebacks else []
-        found += [f'memory grew by {100 * memory:.1f} %'] if memory > MEMORY else []
+        found += [f'memory grew by {100 * memory:.1f} %'] if memory > most else []
         found += [f'{threads} more threads'] if threads > HANDLES else []
         found += [f'{descriptors} more descriptors'] if descriptors > HANDLES else []
         found += [f'{shared:.1f} MB more in /dev/shm'] if shared > 1.0 else []
