@@ -12,6 +12,7 @@ from csgm_ros.batch import pose_graph
 from csgm_ros.batch.pose_graph import Aligned, Edge
 from csgm_ros.batch.results import Row, read
 from csgm_ros.errors import InputError
+from csgm_ros.io.atomic import write_text
 from csgm_ros.types import Similarity
 
 TOLERANCE = 0.1  # of the spread of a cloud: beyond what right registrations are off by
@@ -43,10 +44,7 @@ def align(folder: str | Path, output: str | Path, root: str | None = None) -> st
     edges = [_edge(row, numbers) for row in rows]
     aligned = pose_graph.align(len(names), edges, TOLERANCE)
     document = _document(names, rows, edges, aligned, _root(root, names))
-    try:
-        Path(output).write_text(json.dumps(document, indent=2) + '\n', encoding='utf-8')
-    except OSError as error:
-        raise InputError(f'{output}: cannot be written ({error.strerror}); choose another place') from None
+    write_text(output, json.dumps(document, indent=2) + '\n')
     return _summary(document, output)
 
 

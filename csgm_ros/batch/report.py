@@ -12,6 +12,7 @@ import numpy as np
 
 from csgm_ros.batch.results import Row, read
 from csgm_ros.errors import CsgmError, InputError
+from csgm_ros.io.atomic import write_text
 from csgm_ros.types import Similarity
 
 SIZE = (120, 160)  # pixels of a thumbnail
@@ -57,7 +58,7 @@ def write_report(folder: str | Path, output: str | Path, thumbnails: int = 500) 
     try:
         (folder / '_thumbnails').mkdir(exist_ok=True)
         pictures = {row['key'] for row in drawn if _thumbnail(folder, row)}
-        output.write_text(_page(folder, output, rows, pictures), encoding='utf-8')
+        write_text(output, _page(folder, output, rows, pictures))
     except OSError as error:
         raise InputError(f'{output}: cannot be written ({error.strerror}); choose another place') from None
     return f'{output}: {len(rows)} pairs, {len(pictures)} of them drawn'

@@ -10,6 +10,7 @@ import numpy as np
 from csgm_ros.cloud.prepare import finite_points, normals_of
 from csgm_ros.cloud.voxels import voxel_means
 from csgm_ros.errors import InputError
+from csgm_ros.io.atomic import replacing
 from csgm_ros.tracking import surface
 from csgm_ros.tracking.surface import Surface
 
@@ -85,10 +86,8 @@ def save_map(path: str | Path, prepared: PreparedMap) -> None:
     path = Path(path)
     if path.suffix != '.npz':
         raise InputError(f'{path}: a prepared map ends with .npz; choose another name')
-    try:
-        np.savez_compressed(path, csgm_map=VERSION, **prepared._asdict())
-    except OSError as error:
-        raise InputError(f'{path}: cannot be written ({error.strerror}); choose another place') from None
+    with replacing(path) as file:
+        np.savez_compressed(file, csgm_map=VERSION, **prepared._asdict())
 
 
 def load_map(path: str | Path) -> PreparedMap:

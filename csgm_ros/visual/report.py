@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from csgm_ros.errors import InputError
+from csgm_ros.io.atomic import write_text
 from csgm_ros.io.files import CloudFile
 from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT, matrix_text
 from csgm_ros.types import Similarity
@@ -59,10 +59,7 @@ def write_report(path: str | Path, data: ReportData) -> None:
     page = _asset('report.html')
     for name, text in parts.items():  # the last ones are large: what they hold is not looked at again
         page = page.replace(f'%%{name}%%', text, 1)
-    try:
-        Path(path).write_text(page, encoding='utf-8')
-    except OSError as error:
-        raise InputError(f'{path}: cannot be written ({error.strerror}); choose another place') from None
+    write_text(path, page)
 
 
 def _asset(name: str) -> str:
