@@ -114,7 +114,7 @@ class Tf2Listener:
             )
         except self._errors as error:
             raise InputError(f'TF does not tell where {frame} was in {fixed}: {error}') from None
-        return rigid(*pose(found.transform.rotation, found.transform.translation))
+        return Similarity.from_quaternion(*pose(found.transform.rotation, found.transform.translation))
 
 
 class TfListener:
@@ -217,17 +217,17 @@ class Tree:
         """Interpolate the transform from ``child`` into its parent."""
         stamps, poses = self._stamps[child], self._poses[child]
         if stamps[0] == STATIC or stamp == LATEST:
-            return rigid(*poses[-1])
+            return Similarity.from_quaternion(*poses[-1])
         if not stamps[0] <= stamp <= stamps[-1]:
             off = max(stamps[0] - stamp, stamp - stamps[-1]) / 1e9
             raise InputError(f'the cloud is {off:.2f} s off the transforms received of {child}')
         at = bisect.bisect(stamps, stamp)
         if at == len(stamps) or stamps[at - 1] == stamp:
-            return rigid(*poses[at - 1])
+            return Similarity.from_quaternion(*poses[at - 1])
         (q0, t0), (q1, t1) = poses[at - 1], poses[at]
         weight = (stamp - stamps[at - 1]) / (stamps[at] - stamps[at - 1])
         turned = (1 - weight) * q0 + weight * (q1 if q0 @ q1 >= 0 else -q1)
-        return rigid(turned / np.linalg.norm(turned), (1 - weight) * t0 + weight * t1)
+        return Similarity.from_quaternion(turned, (1 - weight) * t0 + weight * t1)
 
 
 def pose(rotation: Quaternion, translation: Vector3) -> tuple[np.ndarray, np.ndarray]:
@@ -235,16 +235,3 @@ def pose(rotation: Quaternion, translation: Vector3) -> tuple[np.ndarray, np.nda
     quaternion = np.array([rotation.x, rotation.y, rotation.z, rotation.w])
     with np.errstate(invalid='ignore'):
         return quaternion / np.linalg.norm(quaternion), np.array([translation.x, translation.y, translation.z])
-
-
-def rigid(quaternion: np.ndarray, translation: np.ndarray) -> Similarity:
-    """Return the transform of a unit quaternion (x, y, z, w) and a translation."""
-    x, y, z, w = quaternion
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return Similarity(1.0, rotation, translation)
