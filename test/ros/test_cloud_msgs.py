@@ -12,7 +12,7 @@ from csgm_ros.cloud.merge import merge
 from csgm_ros.cloud.voxels import lattice_origin
 from csgm_ros.errors import InputError
 from csgm_ros.io.pointcloud2 import CODES, check_layout, decode, encode
-from csgm_ros.types import Cloud
+from csgm_ros.types import Cloud, Similarity
 
 
 def laid_out(points, *, order='<', kind='f4', before=0, after=4, row_padding=0, height=1, colors=None, dense=True):
@@ -254,14 +254,13 @@ def test_ros_message_round_trip():
 def test_rotation_and_quaternion_agree(seed):
     pytest.importorskip('sensor_msgs.msg')
     from csgm_ros.ros.cloud_msgs import quaternion
-    from csgm_ros.ros.frames import rigid
 
     rng = np.random.default_rng(seed)
     rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     rotation *= np.linalg.det(rotation)
     found = quaternion(rotation)
     assert found[3] >= 0.0
-    np.testing.assert_allclose(rigid(np.array(found), np.zeros(3)).rotation, rotation, atol=1e-12)
+    np.testing.assert_allclose(Similarity.from_quaternion(np.array(found), np.zeros(3)).rotation, rotation, atol=1e-12)
 
 
 def test_merging_averages_each_voxel_once():

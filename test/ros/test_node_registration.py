@@ -22,7 +22,6 @@ from csgm_ros.config import replaced
 from csgm_ros.io.pointcloud2 import decode, stamp_of
 from csgm_ros.ros.client.commands import Client
 from csgm_ros.ros.cloud_msgs import cloud_message, header
-from csgm_ros.ros.frames import rigid
 from csgm_ros.types import Similarity
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
@@ -31,7 +30,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 def transform_of(message):
     rotation, translation = message.transform.rotation, message.transform.translation
     quaternion = np.array([rotation.x, rotation.y, rotation.z, rotation.w])
-    return rigid(quaternion, np.array([translation.x, translation.y, translation.z]))
+    return Similarity.from_quaternion(quaternion, np.array([translation.x, translation.y, translation.z]))
 
 
 def test_outputs_are_right_and_consistent_and_kept_for_late_joiners(active, ros):
