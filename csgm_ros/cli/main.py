@@ -57,7 +57,7 @@ def _parser() -> argparse.ArgumentParser:
         prog='csgm', description='Registers clouds of different sensors.', epilog=EPILOG, formatter_class=shape
     )
     commands = parser.add_subparsers(metavar='COMMAND', required=True, parser_class=_Parser)
-    adders = (_add_register, _add_apply, _add_export, _add_demo, _add_inspect, _add_config)
+    adders = (_add_register, _add_apply, _add_export, _add_prepare_map, _add_demo, _add_inspect, _add_config)
     for add in (*adders, _add_simulate, _add_record_demo):
         add(commands)
     for name, (_, text) in ROS_COMMANDS.items():
@@ -98,6 +98,13 @@ def _add_export(commands) -> None:
     parser.add_argument('-o', '--output', metavar='F', help='default: printed')
     parser.add_argument('--rejected', action='store_true', help='also where the result was rejected')
     parser.set_defaults(run=_export)
+
+
+def _add_prepare_map(commands) -> None:
+    parser = commands.add_parser('prepare-map', help='make a map ready for tracking, once')
+    parser.add_argument('map', metavar='MAP', help='cloud of any unit and pose, such as an SfM one')
+    parser.add_argument('-o', '--output', required=True, metavar='FILE.npz')
+    parser.set_defaults(run=_prepare_map)
 
 
 def _add_demo(commands) -> None:
@@ -241,6 +248,21 @@ def _clouds(options, config):
         return files.read_cloud(options.source), files.read_cloud(options.target)
     most, threads = config.preprocess.max_points, config.threads or os.cpu_count() or 1
     return tuple(files.CloudFile(files.read_points(path, most, threads)) for path in (options.source, options.target))
+
+
+def _prepare_map(options) -> int:
+    from csgm_ros.io.files import check_writable, read_cloud
+    from csgm_ros.tracking.maps import prepare_map, save_map
+
+    check_writable(options.output, ('.npz',))
+    cloud = read_cloud(options.map)
+    try:
+        prepared = prepare_map(cloud.points)
+    except InputError as error:
+        raise InputError(f'{error} ({options.map})') from None
+    save_map(options.output, prepared)
+    print(f'{options.output}: {len(prepared.points)} of {len(cloud.points)} points, {prepared.voxel:.4g} apart')
+    return 0
 
 
 def _demo(options) -> int:

@@ -165,3 +165,13 @@ def test_a_file_that_is_no_sound_prepared_map_is_refused_with_the_remedy(tmp_pat
     damage(path)
     with pytest.raises(InputError, match=says):
         maps.load_map(path)
+
+
+def test_a_map_is_prepared_from_the_command_line(tmp_path, capsys):
+    from csgm_ros.cli.main import main
+
+    np.save(tmp_path / 'map.npy', corner(np.random.default_rng(0)))
+    assert main(['prepare-map', str(tmp_path / 'map.npy'), '-o', str(tmp_path / 'map.npz')]) == 0
+    assert len(maps.load_map(tmp_path / 'map.npz').points) > 1000
+    assert main(['prepare-map', str(tmp_path / 'map.npy'), '-o', str(tmp_path / 'map.ply')]) == 2
+    assert '.npz' in capsys.readouterr().err
