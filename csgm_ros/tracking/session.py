@@ -26,7 +26,7 @@ MIN_POINTS = 200
 SAMPLES = 2500
 GAIN = 0.5  # of a correction of the map's place relative to the odometry
 SIMILAR = 0.6  # of what was tracked: closeness at which a place is as good
-FLOOR = 0.015, 0.015  # systematic error of a map that is not quite a similarity of the scene: metres, radians
+FLOOR = 0.02, 0.02  # systematic error of a map that is not quite a similarity of the scene: metres, radians
 CORRELATION = 30.0  # neighbouring points share their error: this many count as one
 
 
@@ -216,7 +216,9 @@ class Session:
         """Return the covariance of the sensor's pose in the metric map."""
         sigma = max(fit.rms, 0.2 * self._voxel)
         information = fit.information / (CORRELATION * sigma**2)
-        covariance = np.linalg.inv(information + 1e-2 * np.eye(6))
+        covariance = np.linalg.inv(information + 1e-2 * np.eye(6)) + np.diag(
+            (FLOOR[1] ** 2,) * 3 + (FLOOR[0] ** 2,) * 3
+        )
         arm = self._odometry.matrix[:3, 3] - fit.pivot
         cross = np.array(((0, -arm[2], arm[1]), (arm[2], 0, -arm[0]), (-arm[1], arm[0], 0)))
         jacobian = np.zeros(
@@ -226,7 +228,7 @@ class Session:
         covariance = jacobian @ covariance @ jacobian.T
         rotation = self._place[:3, :3] / scale_of(self._place)
         turn = np.kron(np.eye(2), rotation)
-        return turn @ covariance @ turn.T + np.diag((FLOOR[0] ** 2,) * 3 + (FLOOR[1] ** 2,) * 3)
+        return turn @ covariance @ turn.T
 
     def _doubt(self, reason: str) -> None:
         """Give out nothing for now; after a while without support, say that the pose is lost."""
