@@ -136,8 +136,8 @@ def _matches(result, pair: Pair) -> Row:
     """Count the matched nodes, and those that the truth brings within a tenth of the target's radius."""
     if pair.T_target_source is None or result.source_graph is None:
         return {}
-    source = result.source_graph.nodes[result.matches[:, 0]]
-    target = result.target_graph.nodes[result.matches[:, 1]]
+    source = result.source_graph.nodes[result.unguided_matches[:, 0]]
+    target = result.target_graph.nodes[result.unguided_matches[:, 1]]
     distance = np.linalg.norm(apply(pair.T_target_source, source) - target, axis=1)
     return {'matches': len(distance), 'matches_right': int((distance < 0.1 * metrics.radius(pair.target)).sum())}
 

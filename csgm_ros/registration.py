@@ -17,6 +17,7 @@ from csgm_ros.config import Config, profile, replaced
 from csgm_ros.errors import DegenerateCloudError, naming
 from csgm_ros.graph.affinity import affinity
 from csgm_ros.graph.build import build
+from csgm_ros.matching.guided import match_guided
 from csgm_ros.matching.match import match_graphs
 from csgm_ros.progress import Clock, Progress
 from csgm_ros.scale import normalize, search_range
@@ -27,6 +28,9 @@ from csgm_ros.transform.ransac import ransac
 from csgm_ros.transform.refinement import refine_best, refine_finalists
 from csgm_ros.transform.sources import StructurePair, propose
 from csgm_ros.types import (
+    Details,
+    Hypothesis,
+    MatchedGraphs,
     NearestGrid,
     NormalizedPair,
     RegistrationResult,
@@ -61,6 +65,7 @@ def register(
     *,
     seed: int = 0,
     on_progress: Progress | None = None,
+    details: bool = False,
 ) -> RegistrationResult:
     """Find the similarity that lays the source on the target, ``x_target = s R x_source + t``.
 
@@ -74,6 +79,8 @@ def register(
         Same input, configuration and seed: same bits.
     on_progress : callable, optional
         Called as ``on_progress(stage, fraction)``; raise :class:`csgm_ros.errors.Cancelled` from it to stop.
+    details : bool, optional
+        Keep for people how the result came about: :attr:`csgm_ros.types.RegistrationResult.details`.
 
     Returns
     -------
@@ -99,7 +106,7 @@ def register(
         clock.begin(number)
         try:
             rng = np.random.default_rng([seed, number] if number else seed)  # a stream of its own for each attempt
-            view, result = _attempt(pair, attempt, views, config, rng, clock)
+            view, result = _attempt(pair, attempt, views, config, rng, clock, details)
         except DegenerateCloudError:
             if not results:
                 raise
@@ -121,6 +128,7 @@ def _attempt(
     config: Config,
     rng: np.random.Generator,
     clock: Clock,
+    details: bool,
 ) -> tuple[View, RegistrationResult]:
     """Steps 2 to 5 of Algorithm 1."""
     clock.enter('structure extraction')
@@ -128,11 +136,15 @@ def _attempt(
     source, target = _structures(view.pair, attempt, config, rng)  # step 2
     graphs = build(source, config.graph), build(target, config.graph)  # step 3
     clock.enter('graph matching')
-    structures = _matched(source, target, graphs, attempt, view.pair, config, clock)  # step 4
+    matched = _matched(*graphs, config, clock)  # step 4
+    structures = _structure_pair(source, target, matched, attempt, view.pair, config)
     clock.enter('transformation estimation')
     estimate = {'search': _searched, 'ransac': _ransac}[config.hypotheses.method]  # step 5
     best, verdict = estimate(structures, view, config, rng, clock)
-    return view, _result(best, verdict, structures, graphs, view.pair, config)
+    result = _result(best, verdict, matched, view.pair, config)
+    if details:
+        result = dataclasses.replace(result, details=_details(best, structures, matched, view, config))
+    return view, result
 
 
 def _view(pair: NormalizedPair, attempt: Attempt, config: Config, rng: np.random.Generator) -> View:
@@ -169,17 +181,9 @@ def _described(name: str, *inputs) -> Structure:
         return describe(*inputs)
 
 
-def _matched(
-    source: Structure,
-    target: Structure,
-    graphs: tuple[StructureGraph, StructureGraph],
-    attempt: Attempt,
-    pair: NormalizedPair,
-    config: Config,
-    clock: Clock,
-) -> StructurePair:
+def _matched(first: StructureGraph, second: StructureGraph, config: Config, clock: Clock) -> MatchedGraphs:
     """Affinities K_p and K_q, and step 4: enhanced factorised graph matching."""
-    part, (first, second) = config.graph, graphs
+    part = config.graph
     node_affinity = affinity(first.node_descriptors, second.node_descriptors, part.similarity, part.node_sigma)
     edge_affinity = affinity(first.edge_descriptors, second.edge_descriptors, part.similarity, part.edge_sigma)
     matching = match_graphs(
@@ -192,14 +196,24 @@ def _matched(
         positions_2=second.nodes,
         is_cancelled=clock.report,  # raises where the caller wants to stop
     )
+    return MatchedGraphs(first, second, node_affinity, edge_affinity, matching)
 
+
+def _structure_pair(
+    source: Structure,
+    target: Structure,
+    matched: MatchedGraphs,
+    attempt: Attempt,
+    pair: NormalizedPair,
+    config: Config,
+) -> StructurePair:
     @cache
     def keypoints():
         radius = config.hypotheses.feature_radius
         return tuple(describe_keypoints(side.surface, radius * side.unit) for side in (source, target))
 
     scales = search_range(*pair.normalizations, config.scale, config.hypotheses.scale_factor, attempt.relative)
-    return StructurePair(source, target, matching.pairs, node_affinity, scales, keypoints)
+    return StructurePair(source, target, matched.matching.pairs, matched.node_affinity, scales, keypoints)
 
 
 def _ransac(
@@ -262,17 +276,31 @@ def _candidates(
         yield
 
 
+def _details(
+    best: Similarity, structures: StructurePair, matched: MatchedGraphs, view: View, config: Config
+) -> Details:
+    """Everything that people are shown of an attempt beside its result."""
+    kept, probe = [view.measure(best)], view.surfaces[0].probe
+    for other in sorted(view.measured, key=lambda evidence: -evidence.score):
+        if min(other.transform.displacement(one.transform, probe) for one in kept) > config.verification.different:
+            kept.append(other)
+    hypotheses = (
+        Hypothesis(view.pair.in_own_units(one.transform), one.score, one.fitness_source, one.fitness_target)
+        for one in kept
+    )
+    unit = view.pair.normalizations[1].scale
+    distances = config.verification.inlier_distance / unit, config.ransac.inlier_distance / unit
+    return Details((structures.source, structures.target), matched, tuple(hypotheses), *distances)
+
+
 def _result(
-    best: Similarity,
-    verdict: Verdict,
-    structures: StructurePair,
-    graphs: tuple[StructureGraph, StructureGraph],
-    pair: NormalizedPair,
-    config: Config,
+    best: Similarity, verdict: Verdict, matched: MatchedGraphs, pair: NormalizedPair, config: Config
 ) -> RegistrationResult:
-    matches = structures.matches
-    offsets = best.apply(graphs[0].nodes[matches[:, 0]]) - graphs[1].nodes[matches[:, 1]]
-    inliers = np.linalg.norm(offsets, axis=1) < config.ransac.inlier_distance
+    graphs = matched.source, matched.target
+    gaps = np.linalg.norm(best.apply(graphs[0].nodes)[:, None] - graphs[1].nodes, axis=2)
+    agree = gaps < config.ransac.inlier_distance
+    guided = match_guided(matched, gaps, 0.5 * config.supervoxels.seed_size)
+    unguided = matched.matching.pairs
     own = pair.in_own_units(best)
     if not config.scale.estimate_scale:
         own = dataclasses.replace(own, scale=1.0)  # which it is but for rounding
@@ -280,7 +308,8 @@ def _result(
         dataclasses.replace(graph, nodes=unit.inverse().apply(graph.nodes))
         for graph, unit in zip(graphs, pair.normalizations, strict=True)
     )
-    return RegistrationResult(own, verdict, {}, 0, config, *shown, matches, inliers)
+    matches = guided, agree[tuple(guided.T)], unguided, agree[tuple(unguided.T)]
+    return RegistrationResult(own, verdict, {}, 0, config, *shown, *matches)
 
 
 def _updated(earlier: RegistrationResult | None, result: RegistrationResult) -> RegistrationResult:

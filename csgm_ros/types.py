@@ -190,6 +190,8 @@ class Structure:
     ----------
     surface : PreparedCloud
         The voxels that the supervoxels were grown from.
+    labels : (v,) int ndarray
+        Supervoxel of each voxel, -1 for none.
     nodes, normals : (n, 3) ndarray
         Centroids and unit normals of the supervoxels.
     descriptors : (n, d_p) ndarray
@@ -201,6 +203,7 @@ class Structure:
     """
 
     surface: PreparedCloud
+    labels: np.ndarray
     nodes: np.ndarray
     normals: np.ndarray
     descriptors: np.ndarray
@@ -303,16 +306,65 @@ class Matching:
         J(X) of Eq. (4) on the given affinities.
     iterations : int
         Frank-Wolfe steps taken.
+    path : (a, 2) ndarray
+        alpha, and J of the relaxed X there, on the given affinities.
     """
 
     assignment: np.ndarray
     objective: float
     iterations: int
+    path: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
 
     @property
     def pairs(self) -> np.ndarray:
         """(k, 2) int array of matched node indices (graph 1, graph 2)."""
         return np.argwhere(self.assignment)
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedGraphs:
+    """Two graphs, how alike their parts are, and the matching that was found from that alone.
+
+    Attributes
+    ----------
+    source, target : StructureGraph
+    node_affinity, edge_affinity : (n1, n2), (m1, m2) ndarray
+        K_p and K_q, Eq. (2) and Eq. (3).
+    matching : Matching
+    """
+
+    source: StructureGraph
+    target: StructureGraph
+    node_affinity: np.ndarray
+    edge_affinity: np.ndarray
+    matching: Matching
+
+
+@dataclass(frozen=True)
+class Term:
+    """One term of the evidence and its threshold.
+
+    Attributes
+    ----------
+    name : str
+        For a person.
+    value, threshold : float
+    at_least : bool
+        The value must reach the threshold; else it must not exceed it.
+    parameter : str
+        Parameter that the threshold comes from; empty where none does.
+    """
+
+    name: str
+    value: float
+    threshold: float
+    at_least: bool = True
+    parameter: str = ''
+
+    @property
+    def passed(self) -> bool:
+        """Whether the value is on the right side."""
+        return self.value >= self.threshold if self.at_least else self.value <= self.threshold
 
 
 @dataclass(frozen=True)
@@ -331,6 +383,8 @@ class Verdict:
         RMS distance of the inliers, target units.
     margin : float
         Smaller fitness of the winner over that of the best *different* hypothesis; inf when there is none.
+    terms : tuple of Term
+        The evidence against its thresholds.
     """
 
     accepted: bool
@@ -339,6 +393,50 @@ class Verdict:
     fitness_target: float
     inlier_rmse: float
     margin: float
+    terms: tuple[Term, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A transform that was in question.
+
+    Attributes
+    ----------
+    transform : Similarity
+        Source to target, own units.
+    score : float
+        Hypotheses are ranked by it; larger is better.
+    fitness_source, fitness_target : float
+        Share of either cloud that lies on the other, in [0, 1].
+    """
+
+    transform: Similarity
+    score: float
+    fitness_source: float
+    fitness_target: float
+
+
+@dataclass(frozen=True, eq=False)
+class Details:
+    """How a result came about, for people; see the ``details`` of :func:`csgm_ros.register`.
+
+    Attributes
+    ----------
+    structures : pair of Structure
+        Source and target, in their normalised frames.
+    graphs : MatchedGraphs
+        Their matching is the one found without knowing the transform.
+    hypotheses : tuple of Hypothesis
+        The answer, then what competed with it, best first.
+    inlier_distance, match_distance : float
+        Target units, up to which a point lies on the other cloud and a match agrees.
+    """
+
+    structures: tuple[Structure, Structure]
+    graphs: MatchedGraphs
+    hypotheses: tuple[Hypothesis, ...]
+    inlier_distance: float
+    match_distance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -361,9 +459,14 @@ class RegistrationResult:
     source_graph, target_graph : StructureGraph or None
         The matched graphs, in the clouds' own units.
     matches : (k, 2) int ndarray
-        Matched nodes (source, target).
+        Matched nodes (source, target) of a matching guided by ``transform``: which supervoxels are one place.
     match_inliers : (k,) bool ndarray
         Which matches agree with ``transform``.
+    unguided_matches, unguided_inliers : (k, 2) int, (k,) bool ndarray
+        The same before the transform was known: few need to agree, as hypotheses come from triples of them, of their
+        next-best partners and of local features.
+    details : Details or None
+        On request only.
     """
 
     transform: Similarity
@@ -375,6 +478,9 @@ class RegistrationResult:
     target_graph: StructureGraph | None = None
     matches: np.ndarray = field(default_factory=lambda: np.empty((0, 2), int))
     match_inliers: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
+    unguided_matches: np.ndarray = field(default_factory=lambda: np.empty((0, 2), int))
+    unguided_inliers: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
+    details: Details | None = None
 
     @property
     def T_target_source(self) -> np.ndarray:  # noqa: N802 - the frame is part of the name

@@ -84,13 +84,14 @@ def match_graphs(
     unit = max(np.abs(node).max(), np.abs(edge).max(initial=0.0)) or 1.0
     smooth = smooth._replace(weight=smooth.weight / unit)
     with blas_threads(1):
-        columns, steps = _solve(
+        columns, steps, path = _solve(
             node / unit, *_merged(pairs_1, pairs_2, edge / unit), smooth, config, is_cancelled or (lambda: False)
         )
     assignment = np.zeros((len(columns), len(columns)), np.uint8)
     assignment[np.arange(len(columns)), columns] = 1
     assignment = np.ascontiguousarray(assignment[: node.shape[0], : node.shape[1]])
-    return Matching(assignment, score(assignment, node, edge, pairs_1, pairs_2), steps)
+    path = np.array(path) * (1.0, unit)
+    return Matching(assignment, score(assignment, node, edge, pairs_1, pairs_2), steps, path)
 
 
 def _solve(
@@ -101,15 +102,15 @@ def _solve(
     smooth: Smooth,
     config: MatchingConfig,
     is_cancelled: Callable[[], bool],
-) -> tuple[np.ndarray, int]:
-    """Return the permutation of the padded problem and the Frank-Wolfe steps taken."""
+) -> tuple[np.ndarray, int, list[tuple[float, float]]]:
+    """Return the permutation of the padded problem, the Frank-Wolfe steps taken, and J along the path."""
     objective = padded_objective(node, edge, edges_1, edges_2)
-    path, steps = _follow_path(objective, smooth, config, is_cancelled)
+    path, steps, values = _follow_path(objective, smooth, config, is_cancelled)
     if config.search_effort == 0 or min(node.shape) == 1:
-        return path[-1], steps
+        return path[-1], steps, values
     lookup = lookup_tables(edges_1, edges_2, max(node.shape))
     columns, more = _search(objective, smooth, lookup, path, node.shape[0], config)
-    return columns, steps + more
+    return columns, steps + more, values
 
 
 def score(
@@ -127,7 +128,7 @@ def score(
 
 def _follow_path(
     objective: Objective, smooth: Smooth, config: MatchingConfig, is_cancelled: Callable[[], bool]
-) -> tuple[list[np.ndarray], int]:
+) -> tuple[list[np.ndarray], int, list[tuple[float, float]]]:
     """Follow J_alpha from the concave to the convex relaxation (Algorithm 1).
 
     Returns
@@ -136,18 +137,22 @@ def _follow_path(
         The permutation nearest to X for each alpha; the last is the result.
     steps : int
         Frank-Wolfe steps.
+    values : list of (float, float)
+        alpha and J(X) there.
     """
     nodes = len(objective.node)
     state, path, steps = _state(objective, np.full((nodes, nodes), 1 / nodes)), [], 0
+    values = []
     for alpha in np.linspace(0, 1, config.alpha_steps):
         if is_cancelled():
             raise Cancelled('graph matching was cancelled')
         state, taken = _climb(objective, smooth, alpha, state, config)
         steps += taken
         path.append(_nearest_permutation(state.x))
+        values.append((float(alpha), _value(objective, state)))
         if _is_final(objective, smooth, alpha, state):
             break
-    return path, steps
+    return path, steps, values
 
 
 def _climb(

@@ -57,4 +57,6 @@ def describe(
         )
     adjacency = (np.cumsum(kept) - 1)[supervoxels.adjacency[kept[supervoxels.adjacency].all(1)]]
     nodes, node_normals = supervoxels.centroids[kept], supervoxels.normals[kept]
-    return Structure(surface, nodes, node_normals, described[kept], adjacency.astype(np.int32), relative)
+    return Structure(
+        surface, supervoxels.voxel_labels, nodes, node_normals, described[kept], adjacency.astype(np.int32), relative
+    )

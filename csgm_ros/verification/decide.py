@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from csgm_ros.config import ScaleConfig, VerificationConfig
-from csgm_ros.types import Verdict
+from csgm_ros.types import Term, Verdict
 from csgm_ros.verification.evidence import Evidence
 
 
@@ -108,7 +108,18 @@ def decide(best: Evidence, competing: Iterable[Evidence], limits: Thresholds) ->
             True,
             (f'{best.fitness:.0%} of the smaller side fits, {margin:.2f} times as well as any different transform'),
         )
-    return Verdict(accepted, reason, best.fitness_source, best.fitness_target, best.rmse, margin)
+    terms = (
+        Term('smaller fitness', best.fitness, limits.min_fitness, True, 'verification.min_fitness'),
+        Term(
+            'score over that of the best different transform',
+            margin,
+            limits.min_margin,
+            True,
+            'verification.min_margin',
+        ),
+        Term('score above that of the best different transform', lead, limits.min_lead, True, 'verification.min_lead'),
+    )
+    return Verdict(accepted, reason, best.fitness_source, best.fitness_target, best.rmse, margin, terms)
 
 
 def within_bounds(verdict: Verdict, scale: float, bounds: ScaleConfig) -> Verdict:

@@ -12,10 +12,10 @@ import numpy as np
 from csgm_ros.io.atomic import write_text
 from csgm_ros.io.files import CloudFile
 from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT, matrix_text
-from csgm_ros.types import Similarity
+from csgm_ros.types import Similarity, Term
 from csgm_ros.visual import charts
 from csgm_ros.visual.pictures import FRONT, draw, turned
-from csgm_ros.visual.report_data import ReportData, Term
+from csgm_ros.visual.report_data import ReportData
 from csgm_ros.visual.scene import COLORS, REACH, SHOWN, Shown, distances, palette, scene
 from csgm_ros.visual.slices import slices
 
@@ -184,7 +184,7 @@ def _matching(data: ReportData) -> str:
         _figure(charts.matrix(data.assignment), 'X: the assignment found without knowing the answer'),
     ]
     if data.path is not None:
-        chart = charts.curve(data.path, 'alpha, from concave to convex', 'J of the nearest permutation')
+        chart = charts.curve(data.path, 'alpha, from concave to convex', 'J(X)')
         pictures.append(f'<figure>{chart}<figcaption>J along the path</figcaption></figure>')
     note = ''
     if len(data.matches):

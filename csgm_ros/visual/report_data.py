@@ -2,59 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import contextlib
+import platform
+from dataclasses import dataclass, field, replace
+from importlib import metadata
 
 import numpy as np
 
+from csgm_ros.config import flatten, profile
 from csgm_ros.io.files import CloudFile
-from csgm_ros.types import Similarity, StructureGraph
-
-
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """One transform that was in question.
-
-    Attributes
-    ----------
-    transform : Similarity
-        Source to target, own units.
-    score : float
-        What the candidates are ranked by; larger is better.
-    fitness_source, fitness_target : float
-        Share of either cloud that lies on the other, in [0, 1].
-    """
-
-    transform: Similarity
-    score: float
-    fitness_source: float
-    fitness_target: float
-
-
-@dataclass(frozen=True)
-class Term:
-    """One term of the evidence and its threshold.
-
-    Attributes
-    ----------
-    name : str
-        For a person.
-    value, threshold : float
-    at_least : bool
-        The value must reach the threshold; else it must not exceed it.
-    parameter : str
-        Name of the parameter that holds the threshold; empty where none does.
-    """
-
-    name: str
-    value: float
-    threshold: float
-    at_least: bool = True
-    parameter: str = ''
-
-    @property
-    def passed(self) -> bool:
-        """Whether the value is on the right side."""
-        return self.value >= self.threshold if self.at_least else self.value <= self.threshold
+from csgm_ros.types import Hypothesis, RegistrationResult, StructureGraph, Term
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +43,7 @@ class ReportData:
     accepted : bool
     reason : str
         One line.
-    poses : tuple of Pose
+    poses : tuple of Hypothesis
         The answer, then what competed with it, best first.
     terms : tuple of Term
         The evidence against its thresholds.
@@ -106,7 +63,7 @@ class ReportData:
     node_affinity, edge_affinity, assignment : ndarray or None
         K_p, K_q and X of the paper.
     path : (a, 2) ndarray or None
-        alpha, and J of the permutation that is nearest to it.
+        alpha, and J of X there.
     timings : dict of str to float
         Wall seconds per stage.
     parameters, defaults : dict
@@ -120,7 +77,7 @@ class ReportData:
     target: CloudFile
     accepted: bool
     reason: str
-    poses: tuple[Pose, ...]
+    poses: tuple[Hypothesis, ...]
     terms: tuple[Term, ...]
     inlier_distance: float
     match_distance: float
@@ -137,3 +94,46 @@ class ReportData:
     parameters: dict = field(default_factory=dict)
     defaults: dict = field(default_factory=dict)
     facts: dict[str, str] = field(default_factory=dict)
+
+
+def report_data(result: RegistrationResult, source: CloudFile, target: CloudFile, names: tuple[str, str]) -> ReportData:
+    """Return what a report shows of a result that was made with ``details=True``."""
+    details, config = result.details, result.config
+    sides = (
+        Segmentation(side.surface.normalization.inverse().apply(side.surface.points), side.labels)
+        for side in details.structures
+    )
+    facts = {'seed': str(result.seed), 'profile': config.profile, 'seconds': f'{result.seconds:.2f}', **versions()}
+    return ReportData(
+        names=names,
+        source=source,
+        target=target,
+        accepted=result.accepted,
+        reason=result.reason,
+        poses=(replace(details.hypotheses[0], transform=result.transform), *details.hypotheses[1:]),
+        terms=result.verdict.terms,
+        inlier_distance=details.inlier_distance,
+        match_distance=details.match_distance,
+        segmentations=tuple(sides),
+        graphs=(result.source_graph, result.target_graph),
+        matches=result.matches,
+        match_inliers=result.match_inliers,
+        unguided=(int(result.unguided_inliers.sum()), len(result.unguided_matches)),
+        node_affinity=details.graphs.node_affinity,
+        edge_affinity=details.graphs.edge_affinity,
+        assignment=details.graphs.matching.assignment,
+        path=details.graphs.matching.path,
+        timings=result.timings,
+        parameters=flatten(config),
+        defaults=flatten(profile(config.profile)),
+        facts=facts,
+    )
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of this package and of what its numbers depend on."""
+    found = {'Python': platform.python_version(), 'machine': f'{platform.system()} {platform.machine()}'}
+    for name in ('csgm_ros', 'numpy', 'scipy', 'numba', 'open3d', 'open3d-cpu'):
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found

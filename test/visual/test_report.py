@@ -16,9 +16,9 @@ from PIL import Image
 from csgm_ros.config import flatten, profile
 from csgm_ros.demo.simulation import simulate
 from csgm_ros.io.files import CloudFile
-from csgm_ros.types import Similarity
+from csgm_ros.types import Hypothesis, Similarity, Term
 from csgm_ros.visual.report import would_have_changed, write_report
-from csgm_ros.visual.report_data import Pose, ReportData, Segmentation, Term
+from csgm_ros.visual.report_data import ReportData, Segmentation
 from csgm_ros.visual.scene import scene
 from csgm_ros.visual.slices import slices
 
@@ -47,7 +47,7 @@ def data_of(made, *poses, accepted=True):
         target=CloudFile(target),
         accepted=accepted,
         reason='as it is <told>',
-        poses=tuple(Pose(pose, 0.5 - 0.1 * k, 0.4, 0.3) for k, pose in enumerate(poses)),
+        poses=tuple(Hypothesis(pose, 0.5 - 0.1 * k, 0.4, 0.3) for k, pose in enumerate(poses)),
         terms=(Term('smaller fitness', 0.3, 0.2, True, 'verification.min_fitness'), Term('margin', 1.1, 1.25)),
         inlier_distance=0.04,
         match_distance=0.2,
