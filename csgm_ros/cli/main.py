@@ -76,6 +76,8 @@ def _add_register(commands) -> None:
     parser.add_argument('--seed', type=_seed, default=0, metavar='N', help='default: 0')
     parser.add_argument('--output', metavar='F', help='write the fused cloud, in the frame of the target')
     parser.add_argument('--json', metavar='F', help='write the result for programs')
+    parser.add_argument('--report', metavar='F', help='write one .html page that shows the result and why')
+    parser.add_argument('--picture', metavar='F', help='write a .png of before, after and slices')
     parser.add_argument('--bag', metavar='BAG', help='read the clouds from a rosbag2 bag instead')
     parser.add_argument('--source-topic', metavar='T', default='/source', help='default: /source')
     parser.add_argument('--target-topic', metavar='T', default='/target', help='default: /target')
@@ -154,6 +156,10 @@ def _register(options) -> int:
         files.check_writable(options.output)
     if options.json:
         files.check_writable(options.json, ('.json',))
+    if options.report:
+        files.check_writable(options.report, ('.html',))
+    if options.picture:
+        files.check_writable(options.picture, ('.png',))
     source, target = _clouds(options, config)
     for name, cloud in (('source', source), ('target', target)):
         _say_left_out(name, cloud.points)
@@ -162,13 +168,15 @@ def _register(options) -> int:
 
     try:
         with report.ProgressBar() as progress:
-            result = register(source.points, target.points, config, seed=options.seed, on_progress=progress)
+            details = {'on_progress': progress, 'details': bool(options.report)}
+            result = register(source.points, target.points, config, seed=options.seed, **details)
     except InputError as error:
         where = options.bag or f'source {options.source}, target {options.target}'
         raise InputError(f'{error} ({where})') from None
     print(report.summary(result))
     if options.json:
         report.write_json(options.json, result)
+    _show(options, result, source, target)
     if options.output and result.accepted:
         files.write(options.output, report.fused(source, target, result.transform))
     elif options.output:
@@ -186,6 +194,20 @@ def _say_left_out(name: str, points) -> None:
     extreme = len(finite) - len(without_extremes(finite))
     if extreme:
         print(f'csgm: {name}: {extreme} of {len(points)} points lie absurdly far out and are left out', file=sys.stderr)
+
+
+def _show(options, result, source, target) -> None:
+    names = (options.bag and (options.source_topic, options.target_topic)) or (options.source, options.target)
+    names = tuple(name.rstrip('/').rsplit('/', 1)[-1] for name in names)
+    if options.report:
+        from csgm_ros.visual.report import write_report
+        from csgm_ros.visual.report_data import report_data
+
+        write_report(options.report, report_data(result, source, target, names))
+    if options.picture:
+        from csgm_ros.visual.pictures import before_after
+
+        before_after(options.picture, source, target, result.transform, f'{names[0]} on {names[1]}: {result.reason}')
 
 
 def _apply(options) -> int:

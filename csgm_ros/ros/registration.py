@@ -190,7 +190,7 @@ def cloud_of(request: Request, name: str) -> Cloud:
 def describe(result: RegistrationResult) -> str:
     """Return verdict, scale, fitness and seconds, or the reason, in one line."""
     fitness = f'fitness {result.fitness_source:.2f}/{result.fitness_target:.2f}'
-    inliers = f'{int(result.match_inliers.sum())}/{len(result.matches)} matches agree'
+    inliers = f'{int(result.match_inliers.sum())}/{len(result.matches)} guided matches agree'
     if result.accepted:
         return f'accepted: scale {result.scale:.6g}, {fitness}, {inliers}, {result.seconds:.2f} s'
     return f'rejected: {result.reason} ({fitness}, {inliers}, {result.seconds:.2f} s)'
@@ -221,6 +221,7 @@ def facts(outcome: Outcome) -> dict[str, Any]:
         'fitness target': f'{result.fitness_target:.4f}',
         'inlier rmse': f'{result.verdict.inlier_rmse:.6g}',
         'matches': f'{int(result.match_inliers.sum())}/{len(result.matches)}',
+        'matches unguided': f'{int(result.unguided_inliers.sum())}/{len(result.unguided_matches)}',
         'source points': len(outcome.source.points),
         'target points': len(outcome.target.points),
         'dropped points': outcome.source.dropped + outcome.target.dropped,

@@ -10,6 +10,7 @@ from csgm_ros.io.atomic import replacing
 from csgm_ros.io.cloud_file import CloudFile
 from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT
 from csgm_ros.types import Similarity
+from csgm_ros.visual.slices import slices
 
 # Rows: what a view shows to the right, downwards and away from the eye, in the target's optical frame.
 FRONT = np.eye(3)
@@ -19,7 +20,7 @@ PAPER = np.array([1.0, 1.0, 1.0])
 
 
 def before_after(path: str | Path, source: CloudFile, target: CloudFile, transform: Similarity, caption: str) -> None:
-    """Draw both clouds as they came, and the source moved onto the target, from several sides.
+    """Draw both clouds as they came, the source moved onto the target from several sides, and slices.
 
     Parameters
     ----------
@@ -51,9 +52,11 @@ def before_after(path: str | Path, source: CloudFile, target: CloudFile, transfo
         ('after, from above', tinted, TOP),
         ('after, in their own colours', [target, moved], oblique),
     ]
-    figure, axes = pyplot.subplots(2, 3, figsize=(15, 9.6), dpi=80, facecolor='white')
-    for axis, (title, clouds, view) in zip(axes.ravel(), panels, strict=True):
-        axis.imshow(draw(clouds, view), interpolation='lanczos')
+    drawn = [(title, draw(clouds, view)) for title, clouds, view in panels]
+    drawn += [(f'{title}: dark where both are', pixels) for title, pixels in slices(moved.points, target.points)]
+    figure, axes = pyplot.subplots(3, 3, figsize=(15, 14.2), dpi=80, facecolor='white')
+    for axis, (title, pixels) in zip(axes.ravel(), drawn, strict=True):
+        axis.imshow(pixels, interpolation='lanczos')
         axis.set_title(title, fontsize=12, color='#333333')
         axis.set_axis_off()
     figure.text(0.5, 0.015, caption, ha='center', fontsize=12, color='#333333', family='monospace')

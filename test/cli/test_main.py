@@ -39,6 +39,7 @@ def registered(pair, tmp_path_factory):
     """One run of the real command with everything it writes."""
     folder = tmp_path_factory.mktemp('out')
     files = ['--output', str(folder / 'fused.ply'), '--json', str(folder / 'result.json')]
+    files += ['--report', str(folder / 'report.html'), '--picture', str(folder / 'picture.png')]
     run = subprocess.run(
         [*COMMAND, 'register', str(pair[0]), str(pair[1]), '--seed', '4', *files], capture_output=True, text=True
     )
@@ -80,6 +81,16 @@ def test_the_fused_file_holds_the_target_and_the_moved_source(pair, registered):
     assert len(fused.points) == len(source) + len(target)
     assert np.allclose(fused.points[-len(source) :], source @ matrix[:3, :3].T + matrix[:3, 3], atol=1e-4)
     assert len(np.unique(fused.colors[: len(target)], axis=0)) == 1  # the target file has no colours: one tint
+
+
+def test_the_report_and_the_picture_show_the_result(registered):
+    run, folder = registered
+    page = (folder / 'report.html').read_text()
+    assert f'Accepted: {run.stdout.splitlines()[0].removeprefix("accepted: ")}' in page
+    assert 'verification.min_margin' in page
+    for section in ('three-d', 'slices', 'supervoxels', 'matching', 'run'):
+        assert f'<section id="{section}">' in page
+    assert (folder / 'picture.png').read_bytes().startswith(b'\x89PNG')
 
 
 def test_a_rejected_result_exits_with_3_and_writes_no_cloud(pair, tmp_path, capsys):
