@@ -31,7 +31,7 @@ class ProgressBar:
         if self._stream.isatty():
             from tqdm import tqdm
 
-            shape = '{desc:<20} {percentage:3.0f}% |{bar:30}| {elapsed}'
+            shape = '{desc:<20} {percentage:3.0f}% |{bar:26}| {elapsed}<{remaining}'
             self._bar = tqdm(total=1.0, bar_format=shape, ncols=72, file=self._stream, leave=False)
         return self
 
