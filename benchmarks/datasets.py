@@ -5,6 +5,7 @@ Every pair keeps one direction: ``T_target_source`` moves ``source`` onto ``targ
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from benchmarks.meshes import Mesh, random_rotation, shared_folder
+from csgm_ros.cloud.voxels import voxel_means
 from csgm_ros.io.files import read_cloud
 
 
@@ -32,7 +34,9 @@ class Pair:
     clean_source : (K, 3) ndarray
         Source points without noise, outliers or clutter: what the error is measured on.
     kind : str
-        ``synthetic`` (error relative to the radius) or ``real`` (metres).
+        ``synthetic`` (error relative to the radius), ``real`` (metres) or ``place`` (metres, more for a large source).
+    metre : float
+        Target units a metre.
     """
 
     name: str
@@ -41,6 +45,7 @@ class Pair:
     T_target_source: np.ndarray | None
     clean_source: np.ndarray
     kind: str = 'synthetic'
+    metre: float = 1.0
 
 
 def similarity(scale: float, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
@@ -171,6 +176,91 @@ def real_pair(name: str) -> Pair:
     return Pair(name, source, target, truth, source, kind='real')
 
 
+def place_names() -> tuple[str, ...]:
+    """Return the names of the pairs of other places and sensors at hand; empty without ``$CSGM_SHARED``."""
+    folder = shared_folder()
+    return tuple(sorted(path.parent.name for path in folder.glob('data/places/*/gt.json'))) if folder else ()
+
+
+def place_pair(name: str) -> Pair:
+    """Read a pair of ``$CSGM_SHARED/data/places``; the target is in metres."""
+    folder = shared_folder() / 'data' / 'places' / name
+    source, target = (read_cloud(folder / file).points for file in ('source.ply', 'target.ply'))
+    truth = np.array(json.loads((folder / 'gt.json').read_text())['T_target_source'])
+    return Pair(name, source, target, truth, source, kind='place')
+
+
+def frame_pair(sequence: str, number: int) -> Pair:
+    """Read a depth frame of ``$CSGM_SHARED/data/sequence_SEQUENCE`` (source, metres) and its SfM map (target)."""
+    folder = shared_folder() / 'data' / f'sequence_{sequence}'
+    with np.load(folder / 'frames.npz') as data:
+        depth, camera, truth = data['depth'][number] / 1000.0, data['K'], data['T_map_camera'][number]
+    rows, columns = np.nonzero(depth)
+    z = depth[rows, columns]
+    source = np.column_stack([(columns - camera[0, 2]) * z / camera[0, 0], (rows - camera[1, 2]) * z / camera[1, 1], z])
+    metre = float(np.cbrt(np.linalg.det(truth[:3, :3])))
+    name = f'{sequence}_{number:03d}'
+    return Pair(name, source, read_cloud(folder / 'map.ply').points, truth, source, 'place', metre)
+
+
+def frame_numbers(sequence: str) -> np.ndarray:
+    """Return the frames of a sequence that lie on its map: state 1."""
+    with np.load(shared_folder() / 'data' / f'sequence_{sequence}' / 'frames.npz') as data:
+        return np.flatnonzero(data['state'] == 1)
+
+
+def swapped(pair: Pair) -> Pair:
+    """Return the pair with source and target exchanged."""
+    truth = np.linalg.inv(pair.T_target_source)
+    metre = pair.metre * float(np.cbrt(np.linalg.det(truth[:3, :3])))
+    return Pair(f'{pair.name}-swapped', pair.target, pair.source, truth, pair.target, pair.kind, metre)
+
+
+def shared_unit(pair: Pair) -> Pair:
+    """Return the pair with its source in the target's unit: the scale is given, and 1."""
+    scale = float(np.cbrt(np.linalg.det(pair.T_target_source[:3, :3])))
+    truth = pair.T_target_source @ np.diag([1 / scale] * 3 + [1.0])
+    return dataclasses.replace(
+        pair, source=scale * pair.source, clean_source=scale * pair.clean_source, T_target_source=truth
+    )
+
+
+def part(pair: Pair, rng: np.random.Generator, *, share: tuple[float, float] = (0.05, 0.2)) -> Pair:
+    """Return the pair with a source cut to a ball: a small view in a large map.
+
+    Parameters
+    ----------
+    pair : Pair
+        With a truth.
+    rng : Generator
+        Draws the ball's centre, on the truly placed source, and its size.
+    share : (float, float)
+        Bounds of the share of the target's surface that lies on the part, counted in cells of a hundredth of the
+        target's extent.
+
+    Raises
+    ------
+    ValueError
+        If no ball in 200 has such an overlap.
+    """
+    size = np.ptp(pair.target, axis=0).max() / 100
+    cells = voxel_means(pair.target, size)
+    placed = apply(pair.T_target_source, pair.source)
+    on_source = np.isfinite(cKDTree(voxel_means(placed, size)).query(cells, distance_upper_bound=2 * size)[0])
+    overlap, count = cells[on_source], on_source.sum()
+    for _ in range(200):
+        wanted = rng.uniform(*share) * len(cells)
+        if wanted >= count:
+            continue
+        centre = overlap[rng.integers(count)]
+        reach = np.partition(np.linalg.norm(overlap - centre, axis=1), int(wanted))[int(wanted)]
+        inside = np.linalg.norm(placed - centre, axis=1) <= reach
+        if inside.sum() >= 1000:
+            source = pair.source[inside]
+            return dataclasses.replace(pair, name=f'{pair.name}-part', source=source, clean_source=source)
+    raise ValueError(f'{pair.name}: no part overlaps with {share[0]:.0%} to {share[1]:.0%} of the target')
+
+
 def unrelated(source: Pair, target: Pair) -> Pair:
     """Pair one pair's source with another's target. The caller answers for the two showing different things."""
     return Pair(f'{source.name}|{target.name}', source.source, target.target, None, source.clean_source, source.kind)
@@ -194,7 +284,8 @@ def moved(pair: Pair, rng: np.random.Generator, *, scale_range: tuple[float, flo
     pose = similarity(scale, random_rotation(rng), rng.normal(size=3) * scale)
     source = apply(pose, pair.source)[rng.permutation(len(pair.source))]
     truth = pair.T_target_source @ np.linalg.inv(pose)
-    return Pair(pair.name, source, pair.target, truth, apply(pose, pair.clean_source), pair.kind)
+    clean = apply(pose, pair.clean_source)
+    return dataclasses.replace(pair, source=source, T_target_source=truth, clean_source=clean)
 
 
 def database_c_pair(mesh: Mesh, seed: int, **options) -> Pair:

@@ -27,6 +27,7 @@ DESCRIPTORS = {
 HYPOTHESIS_SOURCES = {
     'graph': 'csgm_ros.transform.graph_source:propose',
     'local': 'csgm_ros.transform.local_source:propose',
+    'planes': 'csgm_ros.transform.planes:propose',
 }
 
 
@@ -64,11 +65,27 @@ class ScaleConfig(Checked):
     scale_max: float = param(
         1e6, 'largest scale that a result may have', unit='target per source unit', low=1e-9, high=1e9
     )
+    prior: float = param(
+        0.0, 'expected scale; 0 where nothing is known', unit='target per source unit', low=0.0, high=1e9
+    )
+    prior_factor: float = param(1.5, 'the scale is the prior times or by this', low=1.0, high=1e6)
 
     def __post_init__(self):
         super().__post_init__()
         if self.scale_min >= self.scale_max:
             raise ConfigError(f'scale_min {self.scale_min} must be below scale_max {self.scale_max}')
+        if self.bounds[0] >= self.bounds[1]:
+            raise ConfigError(
+                f'prior {self.prior} with prior_factor {self.prior_factor} leaves nothing between scale_min '
+                f'{self.scale_min} and scale_max {self.scale_max}: change either'
+            )
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Smallest and largest scale that a result may have, the prior taken into account."""
+        if self.prior == 0.0:
+            return self.scale_min, self.scale_max
+        return max(self.scale_min, self.prior / self.prior_factor), min(self.scale_max, self.prior * self.prior_factor)
 
 
 @dataclass(frozen=True)
@@ -162,15 +179,22 @@ class HypothesesConfig(Checked):
         choices=('search', 'ransac'),
     )
     sources: tuple[str, ...] = param(
-        ('graph', 'local'),
-        'where the search gets its hypotheses, one source after the other; graph: triples of matched nodes and of '
-        'their next-best correspondences; local: triples of keypoints with similar FPFH',
+        ('graph', 'local', 'planes'),
+        'where the search gets its hypotheses, one source after the other while nothing is certain; graph: triples of '
+        'matched nodes and of their next-best correspondences; local: triples of keypoints with similar FPFH; planes: '
+        'dominant planes on each other, then yaw, place and scale by correlation of layered occupancy',
         choices=tuple(HYPOTHESIS_SOURCES),
     )
     correspondences: int = param(4, 'putative correspondences of each node or keypoint', low=1, high=50)
     feature_radius: float = param(0.25, 'radius of a local feature', unit=RADIUS, low=0.02, high=1.0)
     scale_factor: float = param(
         2.0, 'scales searched are those of Eq. (1), whose error reaches 42 %, times or by this', low=1.0, high=20.0
+    )
+    plane_scale_factor: float = param(
+        10.0,
+        'the same for planes, which do not need the clouds to be about equally large',
+        low=1.0,
+        high=100.0,
     )
     relative_scales: tuple[float, ...] = param(
         (0.6, 1.6), 'lengths tried, relative to the configured ones, while no result is certain', low=0.05, high=20.0

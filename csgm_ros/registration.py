@@ -24,6 +24,7 @@ from csgm_ros.scale import normalize, search_range
 from csgm_ros.structure.extract import cut, describe
 from csgm_ros.structure.keypoints import describe_keypoints
 from csgm_ros.transform.hypothesis_search import search, search_grids
+from csgm_ros.transform.ladder import Ladder
 from csgm_ros.transform.ransac import ransac
 from csgm_ros.transform.refinement import refine_best, refine_finalists
 from csgm_ros.transform.sources import StructurePair, propose
@@ -100,13 +101,15 @@ def register(
     clock = Clock(on_progress, config.time_budget)
     clock.enter('scale normalization')
     pair = normalize(clouds, config)  # step 1
+    sides = zip(pair.clouds, pair.normalizations, strict=True)
+    ladder = Ladder(*(unit.apply(cloud) for cloud, unit in sides), seed)
     views: dict[int, View] = {}
     results: dict[int, RegistrationResult] = {}
     for number, attempt in enumerate(schedule(pair, config)):
         clock.begin(number)
         try:
             rng = np.random.default_rng([seed, number] if number else seed)  # a stream of its own for each attempt
-            view, result = _attempt(pair, attempt, views, config, rng, clock, details)
+            view, result = _attempt(pair, ladder, attempt, views, config, rng, clock, details)
         except DegenerateCloudError:
             if not results:
                 raise
@@ -123,6 +126,7 @@ def register(
 
 def _attempt(
     pair: NormalizedPair,
+    ladder: Ladder,
     attempt: Attempt,
     views: dict[int, View],
     config: Config,
@@ -137,7 +141,7 @@ def _attempt(
     graphs = build(source, config.graph), build(target, config.graph)  # step 3
     clock.enter('graph matching')
     matched = _matched(*graphs, config, clock)  # step 4
-    structures = _structure_pair(source, target, matched, attempt, view.pair, config)
+    structures = _structure_pair(source, target, matched, attempt, view, ladder, config)
     clock.enter('transformation estimation')
     estimate = {'search': _searched, 'ransac': _ransac}[config.hypotheses.method]  # step 5
     best, verdict = estimate(structures, view, config, rng, clock)
@@ -204,7 +208,8 @@ def _structure_pair(
     target: Structure,
     matched: MatchedGraphs,
     attempt: Attempt,
-    pair: NormalizedPair,
+    view: View,
+    ladder: Ladder,
     config: Config,
 ) -> StructurePair:
     @cache
@@ -212,8 +217,14 @@ def _structure_pair(
         radius = config.hypotheses.feature_radius
         return tuple(describe_keypoints(side.surface, radius * side.unit) for side in (source, target))
 
-    scales = search_range(*pair.normalizations, config.scale, config.hypotheses.scale_factor, attempt.relative)
-    return StructurePair(source, target, matched.matching.pairs, matched.node_affinity, scales, keypoints)
+    def found():
+        return np.array([evidence.transform.matrix for evidence in view.measured]).reshape(-1, 4, 4)
+
+    units, part = view.pair.normalizations, config.hypotheses
+    scales = search_range(*units, config.scale, part.scale_factor, attempt.relative)
+    wide = search_range(*units, config.scale, part.plane_scale_factor)
+    matches, node_affinity = matched.matching.pairs, matched.node_affinity
+    return StructurePair(source, target, matches, node_affinity, scales, keypoints, ladder, wide, found)
 
 
 def _ransac(
@@ -245,7 +256,7 @@ def _searched(
     best, verdict = Similarity.identity(), no_hypothesis()
     for _ in _candidates(config.hypotheses.sources, structures, view, config, rng, clock):
         if view.measured:
-            evidence = _best(view, config)
+            evidence = _best(structures, view, config)
             best, verdict = evidence.transform, view.judge(evidence)
         clock.report()
         # a narrow margin may only mean that the best competing hypothesis has not been found yet
@@ -254,12 +265,24 @@ def _searched(
     return best, verdict
 
 
-def _best(view: View, config: Config) -> Evidence:
-    """Return the best of all measured transforms, after the final ICP of the paper where that makes it better."""
-    best = max(view.measured, key=lambda evidence: evidence.score)
-    scaled = config.scale.estimate_scale
+def _best(structures: StructurePair, view: View, config: Config) -> Evidence:
+    """Return the best of all measured transforms, after the final ICP of the paper where that makes it better.
+
+    Once the clouds have been looked at in lengths of their structure, these say which is best: shares of the clouds and
+    lengths relative to their radii cannot, where one is much larger.
+    """
+    ladder, scaled = structures.ladder, config.scale.estimate_scale
+    if ladder.finalists is None:
+        best = max(view.measured, key=lambda evidence: evidence.score)
+    else:
+        scores = ladder.scores([evidence.transform.matrix for evidence in view.measured])
+        best = view.measured[int(np.argmax(scores))]
     refined = view.measure(refine_best(best.transform, *view.surfaces, config, estimate_scale=scaled))
-    return refined if refined.score > best.score else best
+    if refined.score <= best.score:
+        return best
+    if ladder.finalists is not None and not ladder.alike(best.transform.matrix, refined.transform.matrix):
+        return best  # the gates are too wide for what the clouds show
+    return refined
 
 
 def _candidates(
@@ -269,7 +292,9 @@ def _candidates(
     grids: tuple[NearestGrid, ...] = ()
     for name in sources:
         hypotheses = propose(name, structures, config.hypotheses, rng)
-        if len(hypotheses):
+        if name == 'planes':  # searched and refined already, in lengths of their own
+            view.measured += map(view.measure, map(Similarity.from_matrix, hypotheses))
+        elif len(hypotheses):
             grids = grids or search_grids(structures, config.verification)
             finalists = search(hypotheses, *grids, config, rng, clock)
             view.measured += map(view.measure, refine_finalists(finalists, *view.surfaces, config))

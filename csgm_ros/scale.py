@@ -69,11 +69,14 @@ def search_range(
     """Return the smallest and largest scale to search between the normalised clouds.
 
     Eq. (1) says 1; its error reaches 42 % (partial overlap, outliers), so scales up to ``factor`` times or by
-    ``1 / relative`` are searched, as far as the bounds of ``config`` allow; where these lie outside, they win.
+    ``1 / relative`` are searched, as far as the bounds of ``config`` allow; where these lie outside, they win. With a
+    prior, its bounds are searched, and Eq. (1) is not asked.
     """
     if not config.estimate_scale:
         return 1.0, 1.0
     unit = target.scale / source.scale
-    allowed = config.scale_min * unit, config.scale_max * unit
+    allowed = config.bounds[0] * unit, config.bounds[1] * unit
+    if config.prior > 0.0:
+        return allowed
     low, high = max(allowed[0], 1.0 / (relative * factor)), min(allowed[1], factor / relative)
     return (low, high) if low < high else allowed

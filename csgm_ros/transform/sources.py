@@ -14,6 +14,7 @@ import numpy as np
 
 from csgm_ros.config import HYPOTHESIS_SOURCES, HypothesesConfig
 from csgm_ros.schema import implementation
+from csgm_ros.transform.ladder import Ladder
 from csgm_ros.types import Structure
 
 
@@ -33,6 +34,12 @@ class StructurePair:
         Smallest and largest scale to propose; equal ones fix it.
     keypoints : callable
         Returns the keypoints of source and target, described when first asked for.
+    ladder : Ladder
+        The clouds in working cells.
+    wide_scales : tuple of float
+        As ``scales``, for sources that do not need the clouds to be about equally large.
+    found : callable
+        Returns the (F, 4, 4) finalists of other sources so far.
     """
 
     source: Structure
@@ -41,6 +48,9 @@ class StructurePair:
     node_affinity: np.ndarray
     scales: tuple[float, float]
     keypoints: Callable[[], tuple[Any, Any]]
+    ladder: Ladder
+    wide_scales: tuple[float, float]
+    found: Callable[[], np.ndarray]
 
 
 def propose(name: str, pair: StructurePair, config: HypothesesConfig, rng: np.random.Generator) -> np.ndarray:

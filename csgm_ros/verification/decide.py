@@ -124,9 +124,11 @@ def decide(best: Evidence, competing: Iterable[Evidence], limits: Thresholds) ->
 
 def within_bounds(verdict: Verdict, scale: float, bounds: ScaleConfig) -> Verdict:
     """Return the verdict; rejected, where refinement has left the bounds of the scale (target per source unit)."""
-    if not bounds.estimate_scale or bounds.scale_min <= scale <= bounds.scale_max:
+    low, high = bounds.bounds
+    if not bounds.estimate_scale or low <= scale <= high:
         return verdict
-    reason = f'scale {scale:.4g} is not in scale.scale_min..scale_max ({bounds.scale_min:g}..{bounds.scale_max:g})'
+    allowed = 'scale.scale_min..scale_max' if bounds.prior == 0.0 else 'the bounds of scale.prior'
+    reason = f'scale {scale:.4g} is not in {allowed} ({low:g}..{high:g})'
     return replace(verdict, accepted=False, reason=reason)
 
 

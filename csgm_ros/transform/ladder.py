@@ -1,0 +1,147 @@
+"""Two clouds in cells whose edges fit each other at any scale, and what is evidence for a transform there.
+
+Where one cloud is much larger than the other, lengths relative to their radii mean nothing. Here they come from the
+structure of the source: the edge of the cells that a few thousand of it occupy. The target is looked at on a ladder of
+such cells, on the rung that fits the scale in question.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cached_property
+
+import numpy as np
+
+from csgm_ros.cloud.cells import Cells, cells, working_size
+from csgm_ros.cloud.planes import Plane, frame
+from csgm_ros.transform import batch_icp, occupancy
+
+WORKING = 4000  # cells of the source
+MOST = 40000  # cells of the target, of 2 * WORKING of the source
+RUNG = 1.6  # between the edges of the target's cells on two rungs
+EDGES = np.array([-14, -8, -4.5, -1.5, 1.5, 3, 5, 7, 10, 14, 20, 30, 50.0])  # of the layers, cells above a plane
+SIDE = 160  # cells looked at
+PLANES = 3  # above which is looked
+SAME = 2.0  # cells of mean displacement up to which two transforms are one
+PROBES = 60
+ITERATIONS = 5  # of ICP, per gate
+TARGET_SAMPLES = 4  # times as many points of the target as of the source: most of them are not on the source
+
+
+class Ladder:
+    """Source and target in cells, made when they are asked for.
+
+    Parameters
+    ----------
+    source, target : (N, 3), (M, 3) ndarray
+        Finite points.
+    seed : int
+
+    Attributes
+    ----------
+    finalists : (F, 4, 4) ndarray or None
+        What the search in these cells has found, best first; None before.
+    """
+
+    def __init__(self, source: np.ndarray, target: np.ndarray, seed: int):
+        self._clouds, self._seed = (source, target), seed
+        self._rungs: dict[int, Cells] = {}
+        self.finalists: np.ndarray | None = None
+
+    @cached_property
+    def source(self) -> Cells:
+        """The source in its working cells."""
+        points = self._clouds[0]
+        return cells(points, working_size(points, WORKING), 2 * WORKING, np.random.default_rng(self._seed))
+
+    def rung(self, scale: float) -> Cells:
+        """Return the target in cells about as large as the source's under a scale."""
+        number = round(np.log(scale) / np.log(RUNG))
+        if number not in self._rungs:
+            size = self.source.size * RUNG**number
+            self._rungs[number] = cells(self._clouds[1], size, MOST, np.random.default_rng(self._seed))
+        return self._rungs[number]
+
+    def scores(self, transforms: Iterable[np.ndarray]) -> np.ndarray:
+        """Return the evidence (H,) for (H, 4, 4) transforms, averaged over the target's dominant planes."""
+        return np.array([self._score(transform) for transform in transforms])
+
+    def _score(self, transform: np.ndarray) -> float:
+        scale = scale_of(transform)
+        rung, size = self.rung(scale), self.source.size * scale
+        centre = transform[:3, :3] @ self._middle + transform[:3, 3]
+        planes = rung.planes[:PLANES] or [Plane(np.array([0.0, 0.0, 1.0]), rung.points.mean(0))]
+        total = 0.0
+        for plane in planes:
+            axes = frame(plane.normal) / size
+            offset = -axes @ centre
+            offset[2] = -axes[2] @ plane.point
+            target = np.column_stack([axes, offset])
+            total += occupancy.evidence(self.source.points, rung.points, target @ transform, target, EDGES, SIDE)
+        return total / len(planes)
+
+    def refine(
+        self, transforms: np.ndarray, gates: tuple[float, ...], samples: int, *, fine: bool, estimate_scale: bool
+    ) -> np.ndarray:
+        """Refine (H, 4, 4) transforms by a short ICP.
+
+        Parameters
+        ----------
+        gates : tuple of float
+            Largest distances of correspondences, cells.
+        samples : int
+            Points of the source that seek a partner.
+        fine : bool
+            On the finer, narrower tables of nearest points.
+        """
+        out = np.empty_like(transforms)
+        source = self.source.near(fine=fine)
+        chosen = np.random.default_rng(self._seed).permutation(len(source.points))[:samples]
+        for h, transform in enumerate(transforms):
+            scale = scale_of(transform)
+            target = self.rung(scale).near(fine=fine)
+            others = np.arange(0, len(target.points), max(1, len(target.points) // (TARGET_SAMPLES * samples)))
+            lengths = tuple(gate * scale * self.source.size for gate in gates)
+            out[h] = batch_icp.refine_all(
+                transform[None],
+                source,
+                target,
+                (chosen, others),
+                lengths,
+                0.0,
+                iterations=ITERATIONS,
+                estimate_scale=estimate_scale,
+            )[0]
+        return out
+
+    def distinct(self, transforms: np.ndarray, order: Iterable[int], count: int, distance: float = SAME) -> list[int]:
+        """Return the first ``count`` indices of an order whose (H, 4, 4) transforms differ by ``distance`` cells."""
+        images = np.empty((count, *self._probe.shape))
+        kept: list[int] = []
+        for h in order:
+            image = self._probe @ transforms[h, :3, :3].T + transforms[h, :3, 3]
+            near = distance * self.source.size * scale_of(transforms[h])
+            if kept and np.linalg.norm(images[: len(kept)] - image, axis=2).mean(1).min() < near:
+                continue
+            images[len(kept)] = image
+            kept.append(h)
+            if len(kept) == count:
+                break
+        return kept
+
+    def alike(self, first: np.ndarray, second: np.ndarray) -> bool:
+        """Return whether two (4, 4) transforms move the source to the same place."""
+        return len(self.distinct(np.stack([first, second]), (0, 1), 2)) == 1
+
+    @cached_property
+    def _middle(self) -> np.ndarray:
+        return np.median(self.source.points, axis=0)
+
+    @cached_property
+    def _probe(self) -> np.ndarray:
+        return self.source.points[:: max(1, len(self.source.points) // PROBES)]
+
+
+def scale_of(transform: np.ndarray) -> float:
+    """Return the scale of a (4, 4) similarity matrix."""
+    return float(np.cbrt(np.linalg.det(transform[:3, :3])))

@@ -1,0 +1,276 @@
+"""Hypotheses from macro planes: planes aligned, then yaw, place and scale by correlation of layered occupancy."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from csgm_ros.cloud.cells import Cells
+from csgm_ros.cloud.planes import Plane, frame
+from csgm_ros.cloud.voxels import voxel_means
+from csgm_ros.config import HypothesesConfig
+from csgm_ros.transform import occupancy
+from csgm_ros.transform.ladder import Ladder
+from csgm_ros.transform.sources import StructurePair
+
+PLANES = 3  # of a cloud
+PEAKS = 2  # of a correlation
+STEP = 0.1  # between the logarithms of two scales
+PROMISING = 240  # places of the coarse look around which is looked finely
+MOST_SORTED = 3000
+CANDIDATES = 56  # different places that get a short ICP
+FINALISTS = 6
+WIDE_GATES, FINE_GATES = (4.0, 3.0, 2.0, 1.5), (2.0, 1.2, 0.8)  # of the ICP, cells
+PASS = 2 / 3  # of the frequencies are kept: the softened occupancy has no more
+
+
+class Level(NamedTuple):
+    """How finely is looked.
+
+    Attributes
+    ----------
+    cell : float
+        Edge in working cells.
+    yaws : int
+    edges : tuple of float
+        Of the layers, in cells above the plane.
+    sides : tuple of int
+        Of the square maps, cells.
+    """
+
+    cell: float
+    yaws: int
+    edges: tuple[float, ...]
+    sides: tuple[int, ...]
+
+
+COARSE = Level(4.0, 24, (-3, -0.55, 0.55, 1.2, 2.4, 5, 10.0), (48, 72, 96))
+FINE = Level(2.0, 48, (-6, -0.8, 0.8, 2, 4, 8, 18.0), (96, 144, 192))
+
+
+class View(NamedTuple):
+    """A cloud from above one of its planes.
+
+    Attributes
+    ----------
+    points : (n, 3) ndarray
+    axes : (3, 3) ndarray
+        The plane's frame.
+    middle : (3,) ndarray
+        The middle of the cloud on the plane.
+    reach : float
+        How far it extends from there, about.
+    """
+
+    points: np.ndarray
+    axes: np.ndarray
+    middle: np.ndarray
+    reach: float
+
+    def into(self, size: float, turn: float = 0.0) -> np.ndarray:
+        """Return the matrix (3, 4) that brings the points into cells, turned."""
+        cosine, sine = np.cos(turn), np.sin(turn)
+        rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ self.axes
+        return np.column_stack([rotation, -rotation @ self.middle]) / size
+
+
+def view(cells: Cells, plane: Plane, size: float) -> View:
+    """Look at a cloud, thinned to cells with edge ``size``, from above a plane."""
+    points = voxel_means(cells.points, size)
+    axes = frame(plane.normal)
+    flat = (points - plane.point) @ axes.T
+    middle = np.append(np.median(flat[:, :2], axis=0), 0.0)
+    reach = np.percentile(np.abs(flat[:, :2] - middle[:2]), 97)
+    return View(points, axes, plane.point + middle @ axes, float(reach))
+
+
+class Correlator:
+    """Correlates the clouds of a ladder at one level; what scales share is done once."""
+
+    def __init__(self, ladder: Ladder, level: Level):
+        self.ladder, self.level = ladder, level
+        self.size = level.cell * ladder.source.size
+        self.turns = np.arange(level.yaws) * 2 * np.pi / level.yaws
+        self.sources = [view(ladder.source, plane, self.size) for plane in ladder.source.planes[:PLANES]]
+        self._views: dict = {}
+        self._source_spectra: dict = {}
+        self._target_spectra: dict = {}
+
+    def targets(self, scale: float) -> list[View]:
+        """Return the target from above each of its planes at a scale."""
+        rung = self.ladder.rung(scale)
+        if id(rung) not in self._views:
+            size = 0.75 * self.level.cell * rung.size  # not coarser than the cells of the smallest scale on the rung
+            self._views[id(rung)] = [view(rung, plane, size) for plane in rung.planes[:PLANES]]
+        return self._views[id(rung)]
+
+    def peaks(self, a: int, b: int, scale: float, yaws: np.ndarray):
+        """Return values (Y, PEAKS) and shifts (Y, PEAKS, 2) in cells of a source's plane on one of the target's."""
+        import scipy.fft
+
+        source, target = self.sources[a], self.targets(scale)[b]
+        wanted = (1.7 * target.reach / scale + 1.4 * source.reach) / self.size
+        side = next((s for s in self.level.sides if s >= wanted), self.level.sides[-1])
+        kept = 2 * round(side * PASS / 2)
+        missing = [y for y in yaws if (a, side, y) not in self._source_spectra]
+        for y in missing:
+            self._source_spectra[a, side, y] = np.conj(self._spectrum(source, self.size, self.turns[y], side, kept))
+        if (scale, b, side) not in self._target_spectra:
+            spectrum = self._spectrum(target, self.size * scale, 0.0, side, kept)
+            half = len(spectrum) // 2
+            self._target_spectra[scale, b, side] = np.concatenate([spectrum[half:], spectrum[:half]])
+        products = np.empty((len(yaws), kept, kept // 2 + 1), np.complex64)
+        for y, product in zip(yaws, products, strict=True):
+            _multiply(self._source_spectra[a, side, y], self._target_spectra[scale, b, side], product)
+        maps = scipy.fft.irfft2(products, s=(kept, kept), norm='forward', overwrite_x=True)
+        values, places = _peaks(maps, PEAKS)
+        return values / side**2, places * (side / kept)
+
+    def _spectrum(self, seen: View, size: float, turn: float, side: int, kept: int) -> np.ndarray:
+        import scipy.fft
+
+        edges = np.array(self.level.edges)
+        grids = np.empty((2, len(edges) - 1, side, side), np.float32)
+        occupancy.fields(seen.points, seen.into(size, turn), edges, grids)
+        spectrum = scipy.fft.rfft2(grids.reshape(-1, side, side), overwrite_x=True)
+        half = kept // 2
+        return np.concatenate([spectrum[:, :half, : half + 1], spectrum[:, side - half :, : half + 1]], axis=1)
+
+    def transforms(self, a: int, b: int, scale: float, yaws: np.ndarray, shifts: np.ndarray) -> np.ndarray:
+        """Return the matrices (Y, PEAKS, 4, 4) of shifts (Y, PEAKS, 2)."""
+        source, target = self.sources[a], self.targets(scale)[b]
+        out = np.zeros((*shifts.shape[:2], 4, 4))
+        for n, y in enumerate(yaws):
+            rotation = target.axes.T @ source.into(1.0, self.turns[y])[:, :3]
+            out[n, :, :3, :3] = scale * rotation
+            out[n, :, :3, 3] = target.middle + scale * self.size * shifts[n] @ target.axes[:2]
+            out[n, :, :3, 3] -= scale * rotation @ source.middle
+            out[n, :, 3, 3] = 1.0
+        return out
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _multiply(source, target, out):
+    """Write the sum over the layers of (L, n, m) source times target spectra."""
+    layers, rows, columns = source.shape
+    for i in range(rows):
+        for j in range(columns):
+            out[i, j] = 0
+        for layer in range(layers):
+            for j in range(columns):
+                out[i, j] += source[layer, i, j] * target[layer, i, j]
+
+
+@numba.njit(cache=True, nogil=True)
+def _peaks(maps, count):
+    """Return the ``count`` highest values (Y, count) of every (n, n) map, not beside each other, and their places."""
+    yaws, side, _ = maps.shape
+    values = np.empty((yaws, count))
+    places = np.empty((yaws, count, 2))
+    for y in range(yaws):
+        for c in range(count):
+            best, row, column = np.float32(-np.inf), 0, 0
+            for i in range(side):
+                for j in range(side):
+                    if maps[y, i, j] > best:
+                        best, row, column = maps[y, i, j], i, j
+            values[y, c] = best
+            places[y, c, 0] = row if row < side // 2 else row - side
+            places[y, c, 1] = column if column < side // 2 else column - side
+            for a in range(-2, 3):
+                for b in range(-2, 3):
+                    maps[y, (row + a) % side, (column + b) % side] = -np.inf
+    return values, places
+
+
+def _median(values: np.ndarray) -> tuple[float, float]:
+    """Return the median and the robust standard deviation."""
+    median = np.median(values)
+    return float(median), float(1.4826 * np.median(np.abs(values - median)) + 1e-6)
+
+
+def _interleaved(*keys):
+    """Return indices in the order of several keys by turns, each index once."""
+    mixed = np.stack([np.argsort(-key, kind='stable') for key in keys], axis=1).ravel()
+    return mixed[np.sort(np.unique(mixed, return_index=True)[1])]
+
+
+def correlate(ladder: Ladder, scales: np.ndarray):
+    """Return values (P,), robust values (P,), and transforms (P, 4, 4) of correlation peaks.
+
+    With many scales, every second one is looked at coarsely with every second yaw, and finely only around the best.
+    """
+    fine = Correlator(ladder, FINE)
+    if len(scales) == 1:
+        pairs = [(a, b) for b in range(len(fine.targets(scales[0]))) for a in range(len(fine.sources))]
+        work = {(a, b, 0): np.arange(FINE.yaws) for a, b in pairs}
+        norms = None
+    else:
+        work, norms = _promising(ladder, scales)
+    found = []
+    for (a, b, n), yaws in work.items():
+        if b >= len(fine.targets(scales[n])):
+            continue
+        values, shifts = fine.peaks(a, b, scales[n], yaws)
+        matrices = fine.transforms(a, b, scales[n], yaws, shifts).reshape(-1, 4, 4)
+        median, spread = norms[a, b, n // 2] if norms else _median(values)
+        found.append((values.ravel(), (values.ravel() - median) / spread, matrices))
+    if not found:
+        return np.empty(0), np.empty(0), np.empty((0, 4, 4))
+    return tuple(map(np.concatenate, zip(*found, strict=True)))
+
+
+def _promising(ladder: Ladder, scales: np.ndarray):
+    """Return the yaws worth a fine look by (plane, plane, scale), and the median and spread of the values there."""
+    coarse = Correlator(ladder, COARSE)
+    ratio = (COARSE.cell / FINE.cell) ** 2  # of the numbers of cells that surfaces have
+    every = np.arange(COARSE.yaws)
+    rows, norms = [], {}
+    for n in range((len(scales) + 1) // 2):
+        scale = np.sqrt(scales[2 * n] * scales[min(2 * n + 1, len(scales) - 1)])
+        for b in range(len(coarse.targets(scale))):
+            for a in range(len(coarse.sources)):
+                values = coarse.peaks(a, b, scale, every)[0].max(1)
+                median, spread = _median(values)
+                chance = np.sqrt(min(len(coarse.sources[a].points), len(coarse.targets(scale)[b].points)))
+                norms[a, b, n] = median, spread = median, np.hypot(spread, chance)  # by chance some yaws are alike
+                rows += [(a, b, n, y, v, (v - median) / spread) for y, v in zip(every, values, strict=True)]
+    norms = {key: (ratio * median, ratio * spread) for key, (median, spread) in norms.items()}
+    table = np.array(rows).reshape(-1, 6)
+    order = _interleaved(table[:, 4], table[:, 5])[:PROMISING]
+    work: dict = {}
+    for a, b, n, y in table[order, :4].astype(int):
+        for m in range(2 * n, min(2 * n + 2, len(scales))):
+            work.setdefault((a, b, m), set()).update(((2 * y - 1) % FINE.yaws, 2 * y, (2 * y + 1) % FINE.yaws))
+    return {key: np.array(sorted(yaws)) for key, yaws in work.items()}, norms
+
+
+def finalists(ladder: Ladder, scales: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return the best different transforms (F, 4, 4), best first; those ``known`` (K, 4, 4) take part."""
+    estimate_scale = len(scales) > 1
+    values, robust, transforms = correlate(ladder, scales)
+    kept = ladder.distinct(transforms, _interleaved(values, robust)[:MOST_SORTED], CANDIDATES, distance=3.0)
+    starts = np.concatenate([known, transforms[kept]])
+    if len(starts) == 0:
+        return starts
+    refined = ladder.refine(starts, WIDE_GATES, 500, fine=False, estimate_scale=estimate_scale)
+    scores = ladder.scores(refined)
+    best = ladder.distinct(refined, np.argsort(-scores, kind='stable'), FINALISTS)
+    top, scores = refined[best], scores[best]
+    fine = ladder.refine(top, FINE_GATES, 2000, fine=True, estimate_scale=estimate_scale)
+    fine_scores = ladder.scores(fine)
+    better = fine_scores > scores
+    top[better], scores[better] = fine[better], fine_scores[better]
+    return top[np.argsort(-scores, kind='stable')]
+
+
+def propose(pair: StructurePair, config: HypothesesConfig, rng: np.random.Generator) -> np.ndarray:
+    """Return the (F, 4, 4) finalists of the search, best first, refined: the same ones whenever asked again."""
+    ladder = pair.ladder
+    if ladder.finalists is None:
+        low, high = np.log(pair.wide_scales)
+        scales = np.exp(np.arange(low, high + STEP, STEP)) if high > low else np.exp([low])
+        ladder.finalists = finalists(ladder, scales, pair.found())
+    return ladder.finalists
