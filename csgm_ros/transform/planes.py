@@ -19,6 +19,7 @@ PLANES = 3  # of a cloud
 PEAKS = 2  # of a correlation
 STEP = 0.1  # between the logarithms of two scales
 PROMISING = 240  # places of the coarse look around which is looked finely
+MIN_CELLS = 500  # of the source; fewer have no layers
 MOST_SORTED = 3000
 CANDIDATES = 56  # different places that get a short ICP
 FINALISTS = 6
@@ -269,6 +270,8 @@ def finalists(ladder: Ladder, scales: np.ndarray, known: np.ndarray) -> np.ndarr
 def propose(pair: StructurePair, config: HypothesesConfig, rng: np.random.Generator) -> np.ndarray:
     """Return the (F, 4, 4) finalists of the search, best first, refined: the same ones whenever asked again."""
     ladder = pair.ladder
+    if len(ladder.source.points) < MIN_CELLS:
+        return np.empty((0, 4, 4))
     if ladder.finalists is None:
         low, high = np.log(pair.wide_scales)
         scales = np.exp(np.arange(low, high + STEP, STEP)) if high > low else np.exp([low])
