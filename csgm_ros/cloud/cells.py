@@ -70,7 +70,7 @@ def cells(points: np.ndarray, size: float, most: int, rng: np.random.Generator) 
 
 
 def working_size(points: np.ndarray, count: int) -> float:
-    """Return the edge of the cells of which (N, 3) points occupy about ``count``, or half as many as there are points."""
+    """Return the edge of the cells of which (N, 3) points occupy about ``count``, at most half as many as points."""
     count = min(count, len(points) // 2)
     size = np.ptp(points, axis=0).max() / np.sqrt(count)
     low, high = 0.0, np.inf

@@ -1,5 +1,7 @@
 """Sources of hypotheses: what they are given, and that the truth is among what they propose."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import error, room
@@ -10,6 +12,7 @@ from csgm_ros.scale import normalizations
 from csgm_ros.structure.extract import cut, describe
 from csgm_ros.structure.keypoints import describe_keypoints
 from csgm_ros.transform import graph_source, local_source
+from csgm_ros.transform.ladder import Ladder
 from csgm_ros.transform.sources import StructurePair, propose
 from csgm_ros.types import Similarity
 
@@ -25,7 +28,17 @@ def pair():
     source, target = (describe(cut(cloud, unit, CONFIG), unit, CONFIG, rng) for cloud in clouds)
     node_affinity = affinity(source.descriptors, target.descriptors, 'gaussian', CONFIG.graph.node_sigma)
     found = [describe_keypoints(side.surface, CONFIG.hypotheses.feature_radius) for side in (source, target)]
-    return StructurePair(source, target, np.empty((0, 2), int), node_affinity, (0.5, 2.0), lambda: tuple(found))
+    return StructurePair(
+        source,
+        target,
+        np.empty((0, 2), int),
+        node_affinity,
+        (0.5, 2.0),
+        lambda: tuple(found),
+        Ladder(*map(unit.apply, clouds), 0),
+        (0.5, 2.0),
+        lambda: np.empty((0, 4, 4)),
+    )
 
 
 @pytest.mark.parametrize('source', [graph_source, local_source])
@@ -46,7 +59,7 @@ def test_the_truth_is_among_the_hypotheses_of_every_source(pair, name):
 
 def test_matched_nodes_are_putative_correspondences(pair):
     match = np.array([[0, len(pair.target.nodes) - 1]])
-    with_match = StructurePair(pair.source, pair.target, match, pair.node_affinity, pair.scales, pair.keypoints)
+    with_match = replace(pair, matches=match)
     found = graph_source.putative(with_match, 1)
     both = np.column_stack([found.source, found.target])
     assert (both == np.concatenate([pair.source.nodes[0], pair.target.nodes[-1]])).all(1).any()

@@ -1,0 +1,112 @@
+"""A small view in a large room: found without any length relative to the extent of either cloud."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from csgm_ros.cloud.cells import cells, working_size
+from csgm_ros.cloud.planes import frame
+from csgm_ros.transform import occupancy
+from csgm_ros.transform.ladder import Ladder, scale_of
+from csgm_ros.transform.planes import finalists
+from csgm_ros.types import Similarity
+
+NOTHING = np.empty((0, 4, 4))
+
+
+def box(rng, centre, size, count):
+    """Points on the surface of a box."""
+    points = rng.uniform(-0.5, 0.5, (count, 3))
+    axis = rng.integers(3, size=count)
+    points[np.arange(count), axis] = rng.choice((-0.5, 0.5), count)
+    return centre + points * size
+
+
+def hall(seed):
+    """A floor of 12 by 9 m with one wall and boxes of all sizes, sampled anew by every seed; nothing repeats."""
+    shapes, rng = np.random.default_rng(5), np.random.default_rng(seed)
+    parts = [rng.uniform((0, 0, 0), (12, 9, 0.01), (24000, 3)), rng.uniform((0, 0, 0), (12, 0.01, 3), (8000, 3))]
+    for _ in range(14):
+        size = shapes.uniform(0.4, 1.8, 3)
+        place = np.append(shapes.uniform((1, 1), (11, 8)), size[2] / 2)
+        parts.append(box(rng, place, size, int(1200 * size.mean() ** 2) + 300))
+    return np.concatenate(parts) + rng.normal(0, 0.01, (sum(map(len, parts)), 3))
+
+
+def view(points):
+    """What a sensor sees that looks at one corner: about a fifth."""
+    return points[(points[:, 0] < 5.5) & (points[:, 1] < 4.5)]
+
+
+@pytest.mark.parametrize('given', [True, False])
+def test_a_part_is_found_in_the_whole_whatever_its_pose_and_scale(given):
+    turn = Rotation.from_euler('xyz', (40, -70, 110), degrees=True).as_matrix()
+    truth = Similarity(1.0 if given else 3.7, turn, np.array([5.0, -3.0, 2.0]))
+    source, target = view(hall(1)), hall(2)
+    ladder = Ladder(truth.inverse().apply(source), target, 0)
+    scales = np.ones(1) if given else 3.7 * np.exp(np.arange(-1.03, 1.0, 0.1))
+    found = finalists(ladder, scales, NOTHING)
+    best = Similarity.from_matrix(found[0])
+    assert best.displacement(truth, ladder.source.points) < 0.15
+    scores = ladder.scores(found)
+    assert (np.diff(scores) <= 0).all()
+    assert scores[0] > 1.5 * scores[1]
+
+
+def test_the_same_clouds_have_the_same_finalists():
+    source, target = view(hall(1)), hall(2)
+    first, second = (finalists(Ladder(source, target, 0), np.ones(1), NOTHING) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_a_known_transform_takes_part():
+    source, target = view(hall(1)), hall(2)
+    ladder = Ladder(source, target, 0)
+    found = finalists(ladder, np.ones(1), np.eye(4)[None])
+    assert ladder.alike(found[0], np.eye(4))
+
+
+@pytest.mark.parametrize('unit', [1e-3, 1.0, 1e4])
+def test_cells_follow_the_unit(unit):
+    points = hall(1)
+    size = working_size(unit * points, 4000)
+    np.testing.assert_allclose(size, unit * working_size(points, 4000), rtol=0.1)
+    rng = np.random.default_rng(0)
+    assert 3000 < len(cells(unit * points, size, 8000, rng).points) < 4500
+
+
+def test_cells_are_no_finer_than_the_points():
+    points = np.random.default_rng(0).normal(size=(300, 3))
+    assert len(cells(points, working_size(points, 4000), 8000, np.random.default_rng(0)).points) < 300
+
+
+def test_the_largest_plane_is_the_floor_and_its_normal_points_up():
+    points = hall(1)
+    plane = cells(points, working_size(points, 4000), 8000, np.random.default_rng(0)).planes[0]
+    assert plane.normal[2] > 0.999
+    assert abs(plane.point[2]) < 0.05
+    np.testing.assert_allclose(frame(plane.normal) @ plane.normal, (0, 0, 1), atol=1e-12)
+
+
+def test_evidence_counts_what_stands_alone_and_not_what_is_everywhere():
+    edges = np.array([-0.5, 0.5, 5.0])
+    into = np.eye(4)[:3]
+    grid = np.stack(np.meshgrid(np.arange(-20, 20), np.arange(-20, 20), indexing='ij'), -1).reshape(-1, 2) + 0.5
+    floor = np.column_stack([grid, np.zeros(len(grid))])
+    pole = np.array([[3.5, 4.5, 2.0]])
+
+    def score(first, second):
+        return occupancy.evidence(first, second, into, into, edges, 64)
+
+    alone = score(floor, floor)
+    one_of_floor = alone / (2 * len(floor))
+    with_pole = score(np.concatenate([floor, pole]), np.concatenate([floor, pole]))
+    moved = pole + np.array([8.0, 0.0, 0.0])
+    assert (with_pole - alone) / 2 > 20 * one_of_floor
+    assert score(np.concatenate([floor, pole]), np.concatenate([floor, moved])) < alone
+    far = floor + np.array([100.0, 0.0, 0.0])  # outside of what is looked at: nothing speaks against it
+    np.testing.assert_allclose(score(floor, far), -occupancy.UNSEEN * len(floor))
+
+
+def test_the_scale_of_a_matrix():
+    np.testing.assert_allclose(scale_of(Similarity(2.5, np.eye(3), np.ones(3)).matrix), 2.5)
