@@ -22,22 +22,18 @@ class Attempt:
         Neighbours that noise is averaged over; 0 takes the clouds as they are.
     relative : float
         Lengths in the source relative to those in the target.
-    certain_margin : float
-        Margin from which an accepted result ends the schedule.
     """
 
     smoothing: int = 0
     relative: float = 1.0
-    certain_margin: float = 1.0
 
 
 def schedule(pair: NormalizedPair, config: Config) -> Iterator[Attempt]:
-    """Yield the clouds as they are; while nothing is certain, smoothed if noisy, then at other relative lengths.
+    """Yield the clouds as they are; while nothing is accepted, smoothed if noisy, then at other relative lengths.
 
     A later attempt costs as much as the first, so it is only asked for, and the noise only measured, when needed.
     """
-    certain = config.verification.certain_margin
-    yield Attempt(certain_margin=certain)
+    yield Attempt()
     if config.hypotheses.method == 'ransac':
         return
     if _surface_variation(pair) > config.preprocess.max_surface_variation:
@@ -45,7 +41,7 @@ def schedule(pair: NormalizedPair, config: Config) -> Iterator[Attempt]:
         yield from (Attempt(smoothing=count) for count in config.preprocess.smoothing if count <= most)
     if config.scale.estimate_scale:
         relatives = config.hypotheses.relative_scales
-        yield from (Attempt(relative=relative, certain_margin=certain) for relative in relatives)
+        yield from (Attempt(relative=relative) for relative in relatives)
 
 
 def _surface_variation(pair: NormalizedPair) -> float:

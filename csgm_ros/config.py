@@ -246,24 +246,39 @@ class VerificationConfig(Checked):
     different: float = param(
         0.2, 'RMS displacement from which another hypothesis makes a result ambiguous', unit=RADIUS, low=0.01, high=10.0
     )
-    min_fitness: float = param(
-        0.2, 'smaller fitness of the two sides below which a result is rejected, less for noise', low=0.0, high=1.0
+    min_planes: float = param(
+        4.0, 'independent surfaces that agree, below which a result is rejected', low=0.0, high=1000.0
     )
-    chance: float = param(0.05, 'score of chance, the least that a result is compared with', low=0.001, high=1.0)
     min_margin: float = param(
-        1.25, 'score over that of the best different hypothesis below which a result is rejected', low=1.0, high=100.0
-    )
-    certain_margin: float = param(
-        1.7,
-        'margin from which no more competing hypotheses are sought, from further sources, in further attempts',
+        2.2,
+        'score over that of the best different transform, found or probed, below which a result is rejected',
         low=1.0,
         high=100.0,
     )
-    min_margin_retried: float = param(
-        1.5, 'the same for what further attempts find: many tries find more by chance', low=1.0, high=100.0
+    max_scale_ratio: float = param(
+        0.85,
+        'score at a scale 12 % larger or smaller, relative to that at its own, above which a result is rejected',
+        low=0.0,
+        high=10.0,
     )
-    min_lead: float = param(
-        0.02, 'score above that of the best different hypothesis below which a result is rejected', low=0.0, high=1.0
+    max_mirrored: float = param(
+        1.1,
+        'score of the mirrored source, relative to that as it is, above which a result is rejected',
+        low=0.0,
+        high=100.0,
+    )
+    max_half_shift: float = param(
+        0.7,
+        'RMS displacement between refinements on halves of the structure above which a result is rejected',
+        unit='cell',
+        low=0.0,
+        high=100.0,
+    )
+    max_seen_through: float = param(
+        0.2,
+        'share of points that a sensor with known viewpoint has looked through above which a result is rejected',
+        low=0.0,
+        high=1.0,
     )
 
 
@@ -360,7 +375,6 @@ RENAMED = {
     'verification.coarse_distance': 'verification.coarse_truncation',
     'verification.score_distance': 'verification.fine_truncation',
     'verification.gates': 'verification.max_correspondence_distances',
-    'verification.min_margin_again': 'verification.min_margin_retried',
     'icp.gates': 'icp.max_correspondence_distances',
 }
 

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 
 from csgm_ros.attempts import Attempt, schedule, unanimous
-from csgm_ros.cloud.prepare import finite_points
+from csgm_ros.cloud.prepare import finite_points, viewpoint
 from csgm_ros.cloud.smoothing import smoothed
 from csgm_ros.config import Config, profile, replaced
 from csgm_ros.errors import DegenerateCloudError, naming
@@ -26,7 +26,7 @@ from csgm_ros.structure.keypoints import describe_keypoints
 from csgm_ros.transform.hypothesis_search import search, search_grids
 from csgm_ros.transform.ladder import Ladder
 from csgm_ros.transform.ransac import ransac
-from csgm_ros.transform.refinement import refine_best, refine_finalists
+from csgm_ros.transform.refinement import refine_best, refine_between, refine_finalists
 from csgm_ros.transform.sources import StructurePair, propose
 from csgm_ros.types import (
     Details,
@@ -42,7 +42,7 @@ from csgm_ros.types import (
 )
 from csgm_ros.verification.decide import no_hypothesis
 from csgm_ros.verification.evidence import Evidence
-from csgm_ros.verification.view import View
+from csgm_ros.verification.view import View, Viewpoints
 
 NAMES = ('source', 'target')
 LEAST_EFFORT = {
@@ -54,7 +54,7 @@ LEAST_EFFORT = {
     'hypotheses.trials': 1000,
     'verification.fine_voxel_size': 0.1,
     'icp.iterations': 0,  # no kernel of ours
-    'verification.certain_margin': 100.0,  # so that every source is asked
+    'verification.min_margin': 100.0,  # so that every source is asked
     'time_budget': 1e-3,  # and no second attempt made
 }
 
@@ -67,6 +67,8 @@ def register(
     seed: int = 0,
     on_progress: Progress | None = None,
     details: bool = False,
+    source_viewpoint: np.ndarray | None = None,
+    target_viewpoint: np.ndarray | None = None,
 ) -> RegistrationResult:
     """Find the similarity that lays the source on the target, ``x_target = s R x_source + t``.
 
@@ -82,6 +84,9 @@ def register(
         Called as ``on_progress(stage, fraction)``; raise :class:`csgm_ros.errors.Cancelled` from it to stop.
     details : bool, optional
         Keep for people how the result came about: :attr:`csgm_ros.types.RegistrationResult.details`.
+    source_viewpoint, target_viewpoint : (3,) ndarray, optional
+        Where the one sensor of a cloud stood, in the cloud's own frame and unit: what it has looked through is empty,
+        and a transform that puts points there is rejected.
 
     Returns
     -------
@@ -103,21 +108,21 @@ def register(
     pair = normalize(clouds, config)  # step 1
     sides = zip(pair.clouds, pair.normalizations, strict=True)
     ladder = Ladder(*(unit.apply(cloud) for cloud, unit in sides), seed)
+    viewpoints = viewpoint(source_viewpoint, NAMES[0]), viewpoint(target_viewpoint, NAMES[1])
     views: dict[int, View] = {}
     results: dict[int, RegistrationResult] = {}
     for number, attempt in enumerate(schedule(pair, config)):
         clock.begin(number)
         try:
             rng = np.random.default_rng([seed, number] if number else seed)  # a stream of its own for each attempt
-            view, result = _attempt(pair, ladder, attempt, views, config, rng, clock, details)
+            view, result = _attempt(pair, ladder, viewpoints, attempt, views, config, rng, clock, details)
         except DegenerateCloudError:
             if not results:
                 raise
             continue  # smoothed, or at other lengths, a sparse cloud may have no structure left
-        view.end_attempt()
         views[attempt.smoothing] = view
         results[attempt.smoothing] = result = _updated(results.get(attempt.smoothing), result)
-        if (result.accepted and result.verdict.margin >= attempt.certain_margin) or clock.expired:
+        if result.accepted or clock.expired:
             break
     clock.finish()
     result = unanimous(list(results.values()), config.verification.different / pair.normalizations[1].scale)
@@ -127,6 +132,7 @@ def register(
 def _attempt(
     pair: NormalizedPair,
     ladder: Ladder,
+    viewpoints: Viewpoints,
     attempt: Attempt,
     views: dict[int, View],
     config: Config,
@@ -136,7 +142,7 @@ def _attempt(
 ) -> tuple[View, RegistrationResult]:
     """Steps 2 to 5 of Algorithm 1."""
     clock.enter('structure extraction')
-    view = views.get(attempt.smoothing) or _view(pair, attempt, config, rng)
+    view = views.get(attempt.smoothing) or _view(pair, viewpoints, attempt, config, rng)
     source, target = _structures(view.pair, attempt, config, rng)  # step 2
     graphs = build(source, config.graph), build(target, config.graph)  # step 3
     clock.enter('graph matching')
@@ -151,12 +157,15 @@ def _attempt(
     return view, result
 
 
-def _view(pair: NormalizedPair, attempt: Attempt, config: Config, rng: np.random.Generator) -> View:
+def _view(
+    pair: NormalizedPair, viewpoints: Viewpoints, attempt: Attempt, config: Config, rng: np.random.Generator
+) -> View:
     if not attempt.smoothing:
-        return View(pair, config, rng.spawn(1)[0], retried=False)
+        return View(pair, config, rng.spawn(1)[0], refine_between, viewpoints)
     sides = zip(pair.clouds, pair.normalizations, strict=True)
     clouds = tuple(unit.inverse().apply(smoothed(unit.apply(cloud), attempt.smoothing)) for cloud, unit in sides)
-    return View(NormalizedPair(clouds, pair.normalizations), config, rng, retried=True)
+    pair = NormalizedPair(clouds, pair.normalizations)
+    return View(pair, config, rng, refine_between, viewpoints, smoothed=True)
 
 
 def _structures(
@@ -259,8 +268,7 @@ def _searched(
             evidence = _best(structures, view, config)
             best, verdict = evidence.transform, view.judge(evidence)
         clock.report()
-        # a narrow margin may only mean that the best competing hypothesis has not been found yet
-        if (verdict.accepted and verdict.margin >= config.verification.certain_margin) or clock.expired:
+        if verdict.accepted or clock.expired:
             break
     return best, verdict
 

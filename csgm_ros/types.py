@@ -367,6 +367,27 @@ class Term:
         return self.value >= self.threshold if self.at_least else self.value <= self.threshold
 
 
+@dataclass(frozen=True, eq=False)
+class Undetermined:
+    """The one direction in which clouds leave a pose open that is right otherwise.
+
+    Attributes
+    ----------
+    kind : str
+        slide, turn or scale.
+    direction : (3,) ndarray
+        Of the slide, or axis of the turn, in the target's frame; zeros for a scale.
+    low, high : float
+        Range that fits as well: lengths in target units from the given transform, degrees, or target units per source
+        unit.
+    """
+
+    kind: str
+    direction: np.ndarray
+    low: float
+    high: float
+
+
 @dataclass(frozen=True)
 class Verdict:
     """Whether a transform is right, and why.
@@ -382,9 +403,13 @@ class Verdict:
     inlier_rmse : float
         RMS distance of the inliers, target units.
     margin : float
-        Smaller fitness of the winner over that of the best *different* hypothesis; inf when there is none.
+        Score of the transform over that of the best *different* one that was found or probed.
     terms : tuple of Term
         The evidence against its thresholds.
+    confidence : float
+        Calibrated probability that the transform is right, in [0, 1].
+    undetermined : Undetermined or None
+        Where the transform is right but for one direction: which, and how far; it is rejected all the same.
     """
 
     accepted: bool
@@ -394,6 +419,8 @@ class Verdict:
     inlier_rmse: float
     margin: float
     terms: tuple[Term, ...] = ()
+    confidence: float = 0.0
+    undetermined: Undetermined | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -501,6 +528,16 @@ class RegistrationResult:
     def reason(self) -> str:
         """Why it was accepted or rejected."""
         return self.verdict.reason
+
+    @property
+    def confidence(self) -> float:
+        """Probability that the transform is right, in [0, 1]."""
+        return self.verdict.confidence
+
+    @property
+    def undetermined(self) -> Undetermined | None:
+        """The one direction that the clouds leave open, where it is only one."""
+        return self.verdict.undetermined
 
     @property
     def fitness_source(self) -> float:

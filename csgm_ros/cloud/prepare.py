@@ -52,6 +52,21 @@ def finite_points(points: np.ndarray, name: str = 'cloud', most: int | None = No
     return points
 
 
+def viewpoint(place: np.ndarray | None, name: str) -> np.ndarray | None:
+    """Return where a sensor stood as three finite numbers, or say what is wrong with it; None where unknown.
+
+    Raises
+    ------
+    InputError
+    """
+    if place is None:
+        return None
+    place = np.asarray(place)
+    if place.shape != (3,) or place.dtype.kind not in 'biuf' or not np.isfinite(place).all():
+        raise InputError(f'{name}: viewpoint {place.tolist()} is not a point; give three finite numbers, x, y, z')
+    return place.astype(float)
+
+
 def normals_of(points: np.ndarray, neighbors: int) -> np.ndarray:
     """Return unit normals (N, 3) from the nearest ``neighbors`` points; their sign is arbitrary."""
     return fit_planes(points, neighbors, points).normals

@@ -14,7 +14,7 @@ from csgm_ros.config import flatten
 from csgm_ros.io.atomic import write_text
 from csgm_ros.io.cloud_file import CloudFile
 from csgm_ros.io.transforms import matrix_text
-from csgm_ros.types import RegistrationResult, Similarity
+from csgm_ros.types import RegistrationResult, Similarity, Undetermined
 
 TARGET_TINT = (0.12, 0.47, 0.71)
 SOURCE_TINT = (0.95, 0.55, 0.15)
@@ -58,11 +58,19 @@ def as_mapping(result: RegistrationResult) -> dict[str, Any]:
         'fitness_target': float(result.fitness_target),
         'inlier_rmse': _finite(result.verdict.inlier_rmse),
         'margin': _finite(result.verdict.margin),
+        'confidence': float(result.confidence),
+        'undetermined': _undetermined(result.undetermined),
         'seconds': result.seconds,
         'timings': result.timings,
         'seed': result.seed,
         'config': flatten(result.config),
     }
+
+
+def _undetermined(open_: Undetermined | None) -> dict[str, Any] | None:
+    if open_ is None:
+        return None
+    return {'kind': open_.kind, 'direction': open_.direction.tolist(), 'low': open_.low, 'high': open_.high}
 
 
 def write_json(path: str | Path, result: RegistrationResult) -> None:

@@ -220,6 +220,7 @@ def facts(outcome: Outcome) -> dict[str, Any]:
         'fitness source': f'{result.fitness_source:.4f}',
         'fitness target': f'{result.fitness_target:.4f}',
         'inlier rmse': f'{result.verdict.inlier_rmse:.6g}',
+        'confidence': f'{result.confidence:.3f}',
         'matches': f'{int(result.match_inliers.sum())}/{len(result.matches)}',
         'matches unguided': f'{int(result.unguided_inliers.sum())}/{len(result.unguided_matches)}',
         'source points': len(outcome.source.points),

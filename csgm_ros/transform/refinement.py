@@ -8,9 +8,10 @@ from csgm_ros.cloud.normals import cosine
 from csgm_ros.config import Config
 from csgm_ros.transform import icp
 from csgm_ros.transform.batch_icp import refine_all
-from csgm_ros.types import Similarity, Surface
+from csgm_ros.types import NearestGrid, Similarity, Surface
 
 MAX_CORRESPONDENCE_DISTANCES = (0.03, 0.015)  # of the short ICP, in radii
+MAX_PROBE_ANGLE = 40.0  # degrees
 
 
 def refine_finalists(finalists: np.ndarray, source: Surface, target: Surface, config: Config) -> list[Similarity]:
@@ -27,6 +28,19 @@ def refine_finalists(finalists: np.ndarray, source: Surface, target: Surface, co
         estimate_scale=config.scale.estimate_scale,
     )
     return [Similarity.from_matrix(matrix) for matrix in refined]
+
+
+def refine_between(
+    transforms: np.ndarray,
+    grids: tuple[NearestGrid, NearestGrid],
+    samples: tuple[np.ndarray, np.ndarray],
+    max_correspondence_distances: tuple[float, ...],
+    *,
+    estimate_scale: bool,
+) -> np.ndarray:
+    """Refine (H, 4, 4) transforms by a short ICP between two clouds as verification looks at them."""
+    agree = cosine(MAX_PROBE_ANGLE)
+    return refine_all(transforms, *grids, samples, max_correspondence_distances, agree, estimate_scale=estimate_scale)
 
 
 def refine_best(

@@ -1,125 +1,196 @@
 """Is a transform right at all: a verdict that fails closed.
 
-A wrong transform that is given out as right costs a robot more than none. Three things can make a transform wrong
-though it is the best one found: the clouds do not belong together, they overlap too little, or the scene allows
-several transforms (a plane, a symmetry). All three show in how much better it fits than the best *different* one.
+A wrong transform that is given out as right costs a robot more than none. What can make the best transform wrong that
+was found: the clouds do not belong together, they overlap too little, or the scene allows several transforms (a
+corridor, a symmetry, a scene without a length of its own). Each shows in what was found out about it, and each has its
+words.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from csgm_ros.config import ScaleConfig, VerificationConfig
-from csgm_ros.types import Term, Verdict
+from csgm_ros.types import Term, Undetermined, Verdict
 from csgm_ros.verification.evidence import Evidence
+from csgm_ros.verification.findings import Findings, Rival
+
+SAME_AXIS = 0.95  # cosine from which two directions are one
+OTHER_SCALE = 0.1  # |log factor| from which another scale is another answer
+MIN_INLIERS = 20
+LOGISTIC = (-5.2, 7.4)  # bias, and slope over the log of the margin; other terms added nothing
+NOTHING = 0.05  # the least score, relative to the winner's, that something different has
+NEARBY = 6.0  # cells of displacement up to which a transform is the same but for bent clouds and noise ...
+NEARBY_MARGIN = 1.15  # ... and need not be so much worse
 
 
 @dataclass(frozen=True)
-class Thresholds:
-    """What a transform has to reach on two clouds to be accepted.
+class Units:
+    """What turns findings into words: lengths in the target's own unit, scales in target units per source unit.
 
     Attributes
     ----------
-    min_fitness : float
-        Smaller fitness of the two sides.
-    min_margin : float
-        Score over that of the best competing hypothesis.
-    min_lead : float
-        Score above that of the best competing hypothesis.
-    chance : float
-        Score of chance, the least that a competing hypothesis has.
+    length : float
+        Own units per unit of the findings.
+    scale : float
+        Of the winner.
     """
 
-    min_fitness: float
-    min_margin: float
-    min_lead: float
-    chance: float
+    length: float = 1.0
+    scale: float = 1.0
 
 
-def thresholds(
-    config: VerificationConfig, attainable_fitness: float, fewest_samples: int, *, retried: bool
-) -> Thresholds:
-    """Return the thresholds for two clouds.
+def margin(findings: Findings) -> float:
+    """Return the winner's score over that of the best different transform."""
+    return 1.0 / max([NOTHING, *(rival.ratio for rival in findings.rivals if rival.displacement > NEARBY)])
 
-    Parameters
-    ----------
-    attainable_fitness : float
-        What noise would leave two clouds of one surface.
-    fewest_samples : int
-        Points that were measured on the smaller side: a share counted on few points is known less well.
-    retried : bool
-        The transform was not found in the first attempt: many tries find more by chance.
-    """
-    doubt = np.sqrt(config.fine_samples / min(config.fine_samples, fewest_samples))
-    return Thresholds(
-        config.min_fitness * attainable_fitness,
-        config.min_margin_retried if retried else config.min_margin,
-        config.min_lead * doubt,
-        config.chance,
+
+def decide(
+    evidence: Evidence, findings: Findings, limits: VerificationConfig, units: Units, *, estimate_scale: bool
+) -> Verdict:
+    """Accept or reject a transform, given what was found out about it."""
+    doubts = list(_doubts(findings, limits, units, estimate_scale=estimate_scale))
+    sure = confidence(findings)
+    planes = findings.agreement.planes
+    reason = (
+        doubts[0]
+        if doubts
+        else f'{planes:.0f} independent surfaces agree, {margin(findings):.1f} times as well as under any different '
+        'transform'
+    )
+    return Verdict(
+        not doubts,
+        reason,
+        evidence.fitness_source,
+        evidence.fitness_target,
+        evidence.rmse,
+        margin(findings),
+        _terms(findings, limits),
+        sure if not doubts else min(sure, 0.5),
+        undetermined(findings, limits, units) if doubts else None,
     )
 
 
-def competing(
-    best: Evidence, measured: Iterable[Evidence], probe: np.ndarray, config: VerificationConfig
-) -> list[Evidence]:
-    """Return what competes with a transform: all *different* ones, and those so much better that it cannot be right.
-
-    Parameters
-    ----------
-    best : Evidence
-    measured : iterable of Evidence
-        Everything measured so far.
-    probe : (P, 3) ndarray
-        Source points; transforms that move them alike are one.
-    """
-    better = config.min_margin * best.score
-    return [
-        other
-        for other in measured
-        if other.score > better or best.transform.displacement(other.transform, probe) > config.different
-    ]
-
-
-def decide(best: Evidence, competing: Iterable[Evidence], limits: Thresholds) -> Verdict:
-    """Accept or reject a measured transform, given the evidence of all that competes with it."""
-    strongest = max([limits.chance, *(other.score for other in competing)])
-    margin, lead = best.score / strongest, best.score - strongest
-    if best.fitness < limits.min_fitness:
-        accepted, reason = (
-            False,
-            (
-                f'too little overlap: only {best.fitness:.0%} of one cloud lies on the other '
-                f'({limits.min_fitness:.0%} are asked for by verification.min_fitness, for clouds of this noise)'
-            ),
-        )
-    elif margin < limits.min_margin or lead < limits.min_lead:
-        accepted, reason = (
-            False,
-            (
-                f'ambiguous: it fits only {margin:.2f} times as well as a different transform, or as chance does '
-                '(unrelated clouds, a symmetric or a flat scene)'
-            ),
-        )
-    else:
-        accepted, reason = (
-            True,
-            (f'{best.fitness:.0%} of the smaller side fits, {margin:.2f} times as well as any different transform'),
-        )
-    terms = (
-        Term('smaller fitness', best.fitness, limits.min_fitness, True, 'verification.min_fitness'),
-        Term(
-            'score over that of the best different transform',
-            margin,
-            limits.min_margin,
-            True,
-            'verification.min_margin',
+def _terms(findings: Findings, limits: VerificationConfig) -> tuple[Term, ...]:
+    planes, lead = findings.agreement.planes, margin(findings)
+    return (
+        Term('independent surfaces that agree', planes, limits.min_planes, True, 'verification.min_planes'),
+        Term('score over that of the best different one', lead, limits.min_margin, True, 'verification.min_margin'),
+        *(
+            Term(name, value, getattr(limits, parameter), False, f'verification.{parameter}')
+            for name, value, parameter in (
+                ('score at another scale', _other_scale_ratio(findings), 'max_scale_ratio'),
+                ('score of the mirrored source', findings.mirrored, 'max_mirrored'),
+                ('cells between refinements on halves', findings.half_shift, 'max_half_shift'),
+                ('share that a sensor has looked through', findings.seen_through, 'max_seen_through'),
+            )
         ),
-        Term('score above that of the best different transform', lead, limits.min_lead, True, 'verification.min_lead'),
     )
-    return Verdict(accepted, reason, best.fitness_source, best.fitness_target, best.rmse, margin, terms)
+
+
+def _doubts(findings: Findings, limits: VerificationConfig, units: Units, *, estimate_scale: bool) -> Iterator[str]:
+    """Yield what speaks against a transform, in words a user can act on."""
+    agreement = findings.agreement
+    if agreement.inliers < MIN_INLIERS or agreement.planes < limits.min_planes:
+        yield (
+            f'too little overlap or structure: {agreement.planes:.1f} independent surfaces agree, '
+            f'{limits.min_planes:g} are asked for by verification.min_planes'
+        )
+    if findings.seen_through > limits.max_seen_through:
+        yield (
+            f'contradicted: a sensor has looked through {findings.seen_through:.0%} of the other cloud '
+            f'(verification.max_seen_through is {limits.max_seen_through:.0%})'
+        )
+    open_ = _competing(findings, limits)
+    if open_:
+        yield f'ambiguous: {_words(open_[0], units)}'
+    elif margin(findings) < limits.min_margin:
+        yield f'ambiguous: a margin of {limits.min_margin:g} is asked for by verification.min_margin, none is that wide'
+    if findings.mirrored > limits.max_mirrored:
+        yield f'ambiguous: the source fits {findings.mirrored:.2f} times as well mirrored; is it a mirror image?'
+    ratio = _other_scale_ratio(findings)
+    if ratio > limits.max_scale_ratio:
+        low, high = scale_range(findings, limits)
+        if estimate_scale:
+            yield f'ambiguous: scale not determined, between {low * units.scale:.3g} and {high * units.scale:.3g}'
+        else:
+            yield f'ambiguous: it fits {ratio:.2f} times as well {low:.2g} to {high:.2g} times as large'
+    if findings.half_shift > limits.max_half_shift:
+        yield (
+            'ambiguous: the halves of the overlap put it in different places '
+            f'({findings.half_shift:.2f} cells apart; verification.max_half_shift is {limits.max_half_shift:g})'
+        )
+
+
+def _competing(findings: Findings, limits: VerificationConfig) -> list[Rival]:
+    """Return the rivals that fit so well that they leave a doubt, what fits best first."""
+    return sorted(
+        (
+            rival
+            for rival in findings.rivals
+            if rival.ratio * (limits.min_margin if rival.displacement > NEARBY else NEARBY_MARGIN) > 1.0
+        ),
+        key=lambda rival: -rival.ratio,
+    )
+
+
+def _words(rival: Rival, units: Units) -> str:
+    well = f'{rival.ratio:.2f} times as well'
+    if rival.motion is None:
+        return f'a different transform fits {well} (unrelated clouds, little overlap, a symmetric or a flat scene)'
+    axis = ', '.join(f'{value:.2f}' for value in rival.motion.axis.round(2) + 0.0)
+    if rival.motion.kind == 'slide':
+        return f'slides along ({axis}) by {rival.motion.amount * units.length:.3g}: it fits {well} there'
+    return f'fits {well} turned by {rival.motion.amount:.0f} degrees about ({axis})'
+
+
+def scale_range(findings: Findings, limits: VerificationConfig) -> tuple[float, float]:
+    """Return the factors on the scale between which the winner fits as well."""
+    open_ = [factor for factor, ratio in findings.scale_curve if ratio > limits.max_scale_ratio]
+    return min([1.0, *open_]), max([1.0, *open_])
+
+
+def undetermined(findings: Findings, limits: VerificationConfig, units: Units) -> Undetermined | None:
+    """Return the one direction in which different transforms fit as well, None where there are several or none.
+
+    None too where something says that the transform is wrong altogether.
+    """
+    if (
+        findings.agreement.planes < limits.min_planes
+        or findings.seen_through > limits.max_seen_through
+        or findings.mirrored > limits.max_mirrored
+    ):
+        return None
+    open_ = _competing(findings, limits)
+    low, high = scale_range(findings, limits)
+    if low * np.exp(OTHER_SCALE) < 1.0 or high > np.exp(OTHER_SCALE):
+        return None if open_ else Undetermined('scale', np.zeros(3), low * units.scale, high * units.scale)
+    motions = [rival.motion for rival in open_]
+    if not motions or any(motion is None or motion.kind != motions[0].kind for motion in motions):
+        return None
+    axis = motions[0].axis
+    if any(abs(motion.axis @ axis) < SAME_AXIS for motion in motions):
+        return None
+    amounts = [motion.amount * np.sign(motion.axis @ axis) for motion in motions]
+    unit = units.length if motions[0].kind == 'slide' else 1.0
+    return Undetermined(motions[0].kind, axis, min(0.0, *amounts) * unit, max(0.0, *amounts) * unit)
+
+
+def confidence(findings: Findings) -> float:
+    """Return the probability that a transform with such findings is right: logistic, fitted on labelled cases."""
+    bias, slope = LOGISTIC
+    return float(1.0 / (1.0 + np.exp(-bias - slope * np.log(margin(findings)))))
+
+
+def _other_scale_ratio(findings: Findings) -> float:
+    return max((ratio for factor, ratio in findings.scale_curve if _other(factor)), default=0.0)
+
+
+def _other(factor: float) -> bool:
+    return abs(np.log(factor)) > OTHER_SCALE
 
 
 def within_bounds(verdict: Verdict, scale: float, bounds: ScaleConfig) -> Verdict:
@@ -129,7 +200,7 @@ def within_bounds(verdict: Verdict, scale: float, bounds: ScaleConfig) -> Verdic
         return verdict
     allowed = 'scale.scale_min..scale_max' if bounds.prior == 0.0 else 'the bounds of scale.prior'
     reason = f'scale {scale:.4g} is not in {allowed} ({low:g}..{high:g})'
-    return replace(verdict, accepted=False, reason=reason)
+    return replace(verdict, accepted=False, reason=reason, confidence=0.0)
 
 
 def no_hypothesis() -> Verdict:

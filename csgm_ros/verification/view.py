@@ -9,13 +9,31 @@ import numpy as np
 
 from csgm_ros.config import Config
 from csgm_ros.types import NormalizedPair, Similarity, Surface, Verdict
-from csgm_ros.verification.decide import competing, decide, thresholds, within_bounds
+from csgm_ros.verification.agreement import Comparison
+from csgm_ros.verification.decide import Units, decide, within_bounds
 from csgm_ros.verification.evidence import Evidence, measure
-from csgm_ros.verification.surfaces import attainable_fitness, normal_angle, surface
+from csgm_ros.verification.findings import Findings, Refine, compared, probed
+from csgm_ros.verification.free_space import seen_through
+from csgm_ros.verification.surfaces import normal_angle, surface
+from csgm_ros.verification.witnesses import witnesses, working_cell
+
+SAME_SCALE = 0.35  # |log ratio| up to which two scales share a comparison
+MOST_COMPARED = 12  # finalists that a winner is compared with
+
+Viewpoints = tuple[np.ndarray | None, np.ndarray | None]
 
 
 class View:
     """The pair at one smoothing, and all that was measured on it so far; belongs to one registration.
+
+    Parameters
+    ----------
+    refine : callable
+        See :data:`csgm_ros.verification.findings.Refine`.
+    viewpoints : pair of (3,) ndarray or None
+        Where the sensors stood, in each cloud's own frame and unit, where known.
+    smoothed : bool, optional
+        The clouds have been smoothed.
 
     Attributes
     ----------
@@ -24,11 +42,20 @@ class View:
         What the verdict compares a transform with, over all attempts.
     """
 
-    def __init__(self, pair: NormalizedPair, config: Config, rng: np.random.Generator, *, retried: bool):
+    def __init__(
+        self,
+        pair: NormalizedPair,
+        config: Config,
+        rng: np.random.Generator,
+        refine: Refine,
+        viewpoints: Viewpoints = (None, None),
+        *,
+        smoothed: bool = False,
+    ):
         self.pair, self.measured = pair, []
-        self._config, self._rng = config, rng
-        # how many were measured in the first attempt; None: it goes on
-        self._first: int | None = 0 if retried else None
+        self._config, self._rng, self._refine = config, rng, refine
+        self._viewpoints, self._smoothed = viewpoints, smoothed
+        self._comparisons: dict[int, Comparison] = {}
 
     @cached_property
     def surfaces(self) -> tuple[Surface, Surface]:
@@ -39,15 +66,10 @@ class View:
     @cached_property
     def max_angle(self) -> float:
         """Degrees that the normals of two points in one place may differ by."""
-        if self._first == 0:
+        if self._smoothed:
             # smoothing makes the normals of neighbours agree more than they can with the other cloud's
             return self._config.verification.max_normal_angle
         return normal_angle(*self.surfaces, self._config)
-
-    def end_attempt(self) -> None:
-        """What is found from here on was not found in the first attempt and needs a wider margin."""
-        if self._first is None:
-            self._first = len(self.measured)
 
     def measure(self, transform: Similarity) -> Evidence:
         """Return the evidence for one transform between the normalised clouds."""
@@ -55,12 +77,66 @@ class View:
 
     def judge(self, best: Evidence) -> Verdict:
         """Return the verdict on a transform, all that was measured before competing with it."""
-        part, probe = self._config.verification, self.surfaces[0].probe
-        first = self.measured[: self._first]
-        retried = all(best.transform.displacement(seen.transform, probe) > part.different for seen in first)
-        fewest = min(len(side.sample) for side in self.surfaces)
-        attainable = attainable_fitness(*self.surfaces, self.max_angle)
-        limits = thresholds(part, attainable, fewest, retried=retried and self._first is not None)
-        verdict = decide(best, competing(best, self.measured, probe, part), limits)
-        verdict = within_bounds(verdict, self.pair.in_own_units(best.transform).scale, self._config.scale)
+        estimate_scale = self._config.scale.estimate_scale
+        comparison, scale = self._comparison(best.transform.scale)
+        winner = best.transform.matrix @ _scaling(1.0 / scale)
+        others = sorted(self.measured, key=lambda evidence: -evidence.score)[:MOST_COMPARED]
+        findings = compared(comparison, winner, [o.transform.matrix @ _scaling(1.0 / scale) for o in others])
+        findings = replace(findings, seen_through=self._seen_through(best.transform))
+        if self._decided(best, findings).accepted:
+            findings = probed(comparison, winner, findings, self._refine, estimate_scale=estimate_scale)
+        verdict = within_bounds(
+            self._decided(best, findings), self.pair.in_own_units(best.transform).scale, self._config.scale
+        )
         return replace(verdict, inlier_rmse=verdict.inlier_rmse / self.pair.normalizations[1].scale)
+
+    def _decided(self, best: Evidence, findings: Findings) -> Verdict:
+        units = Units(1.0 / self.pair.normalizations[1].scale, self.pair.in_own_units(best.transform).scale)
+        estimate_scale = self._config.scale.estimate_scale
+        return decide(best, findings, self._config.verification, units, estimate_scale=estimate_scale)
+
+    def _comparison(self, scale: float) -> tuple[Comparison, float]:
+        """Return the clouds at the length of their structure, the source enlarged, and by how much."""
+        if not self._config.scale.estimate_scale:
+            step, used = 0, 1.0
+        else:
+            step = round(np.log(scale) / SAME_SCALE)
+            used = float(np.exp(step * SAME_SCALE))
+        if step not in self._comparisons:
+            sides = zip(self._normalized, (used, 1.0), strict=True)
+            source, target = (points * factor for points, factor in sides)
+            sizes = self._cells
+            cell = min(sizes[0] * used, sizes[1])
+            reach = 2.0 * min(_robust_radius(source), _robust_radius(target))
+            neighbors, rng = self._config.preprocess.normal_neighbors, np.random.default_rng(0)
+            seen = (witnesses(points, cell, reach, rng, neighbors) for points in (source, target))
+            self._comparisons[step] = Comparison(*seen, cell)
+        return self._comparisons[step], used
+
+    @cached_property
+    def _normalized(self) -> tuple[np.ndarray, np.ndarray]:
+        sides = zip(self.pair.clouds, self.pair.normalizations, strict=True)
+        return tuple(unit.apply(cloud) for cloud, unit in sides)
+
+    @cached_property
+    def _cells(self) -> tuple[float, float]:
+        return tuple(map(working_cell, self._normalized))
+
+    def _seen_through(self, transform: Similarity) -> float:
+        """Return the larger share of either cloud that the other's sensor, where its place is known, looked through."""
+        source, target = self.pair.clouds
+        own = self.pair.in_own_units(transform)
+        shares = []
+        if self._viewpoints[0] is not None:
+            shares.append(seen_through(own.inverse().apply(target), source, self._viewpoints[0]))
+        if self._viewpoints[1] is not None:
+            shares.append(seen_through(own.apply(source), target, self._viewpoints[1]))
+        return max((share for share in shares if share is not None), default=0.0)
+
+
+def _scaling(factor: float) -> np.ndarray:
+    return np.diag([factor, factor, factor, 1.0])
+
+
+def _robust_radius(points: np.ndarray) -> float:
+    return float(np.percentile(np.linalg.norm(points - np.median(points, axis=0), axis=1), 90))

@@ -94,7 +94,7 @@ def test_the_report_and_the_picture_show_the_result(registered):
 
 
 def test_a_rejected_result_exits_with_3_and_writes_no_cloud(pair, tmp_path, capsys):
-    impossible = ['--set', 'verification.min_fitness=1.0']
+    impossible = ['--set', 'verification.min_planes=999.0']
     files = ['--output', str(tmp_path / 'f.ply'), '--json', str(tmp_path / 'r.json')]
     assert main(['register', *map(str, pair[:2]), *impossible, *files]) == 3
     captured = capsys.readouterr()
@@ -103,7 +103,7 @@ def test_a_rejected_result_exits_with_3_and_writes_no_cloud(pair, tmp_path, caps
     assert not (tmp_path / 'f.ply').exists()
     result = json.loads((tmp_path / 'r.json').read_text())
     assert result['accepted'] is False
-    assert result['config']['verification.min_fitness'] == 1.0
+    assert result['config']['verification.min_planes'] == 999.0
 
 
 def test_a_bag_gives_what_its_files_give(pair, tmp_path, capsys):

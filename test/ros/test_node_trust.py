@@ -77,15 +77,15 @@ def test_start_up_parameters_that_nobody_knows_are_said_and_whole_numbers_are_ta
   ros__parameters:
     use_sim_time: false
     verification.min_fitnes: 0.3
-    verification.min_fitness: 1
+    verification.min_planes: 1
     time_budget: 20
     qos_overrides./source.subscription.depth: 3
 """)
     process = NodeProcess('-r', '__ns:=/filed', '--params-file', str(file), '-p', 'scale.scale_max:=50')
     try:
         with Client('/filed/csgm') as client:
-            found = client.get_parameters(['verification.min_fitness', 'time_budget', 'scale.scale_max'])
-        assert found == {'verification.min_fitness': 1.0, 'time_budget': 20.0, 'scale.scale_max': 50.0}
+            found = client.get_parameters(['verification.min_planes', 'time_budget', 'scale.scale_max'])
+        assert found == {'verification.min_planes': 1.0, 'time_budget': 20.0, 'scale.scale_max': 50.0}
         assert process.log.count('a start-up parameter is left out') == 1
         assert "'verification.min_fitnes'" in process.log
     finally:

@@ -1,4 +1,6 @@
-"""The decision as a pure function: tables of evidence and what must come of them."""
+"""The decision as a pure function: tables of findings and what must come of them."""
+
+import dataclasses
 
 import numpy as np
 import pytest
@@ -7,59 +9,160 @@ from hypothesis import strategies as st
 
 from csgm_ros.config import ScaleConfig, VerificationConfig
 from csgm_ros.types import Similarity
-from csgm_ros.verification.decide import Thresholds, competing, decide, no_hypothesis, thresholds, within_bounds
+from csgm_ros.verification.agreement import Agreement
+from csgm_ros.verification.decide import Units, confidence, decide, margin, no_hypothesis, within_bounds
 from csgm_ros.verification.evidence import Evidence
+from csgm_ros.verification.findings import Findings, Motion, Rival, motion
+from csgm_ros.verification.probes import SCALES
 
-LIMITS = Thresholds(min_fitness=0.2, min_margin=1.25, min_lead=0.02, chance=0.05)
-CONFIG = VerificationConfig()
-PROBE = np.random.default_rng(0).normal(size=(50, 3))
+LIMITS = VerificationConfig()
+EVIDENCE = Evidence(Similarity.identity(), 0.5, 0.9, 0.4, 0.01)
+UNITS = Units(length=2.0, scale=10.0)
+X, Y = np.eye(3)[:2]
+SHARP = tuple((factor, 0.1) for factor in SCALES)
 
 
-def evidence(score, fitness=0.5, shift=0.0):
-    return Evidence(Similarity(1.0, np.eye(3), np.array([shift, 0.0, 0.0])), fitness, 0.9, score, 0.01)
+def agreement(planes=20.0, inliers=500):
+    return Agreement(0.5, 0.5, planes, inliers)
+
+
+def found(ratio):
+    return Rival(ratio, 20.0)
+
+
+def slid(ratio, amount, axis=X):
+    return Rival(ratio, 20.0, Motion('slide', axis * np.sign(amount), abs(amount)))
+
+
+def turned(ratio, amount, axis=X):
+    return Rival(ratio, 20.0, Motion('turn', axis, amount))
+
+
+def findings(*rivals, curve=SHARP, **rest):
+    return Findings(rest.pop('agreement', agreement()), rivals, curve, half_shift=rest.pop('half_shift', 0.01), **rest)
+
+
+def judged(found, *, estimate_scale=True):
+    return decide(EVIDENCE, found, LIMITS, UNITS, estimate_scale=estimate_scale)
 
 
 @pytest.mark.parametrize(
-    ('best', 'others', 'accepted', 'said'),
+    ('given', 'said'),
     [
-        (evidence(0.5), [], True, '10.00 times'),
-        (evidence(0.5), [evidence(0.2), evidence(0.3)], True, '1.67 times'),
-        (evidence(0.5), [evidence(0.2), evidence(0.45)], False, 'ambiguous'),
-        (evidence(0.5), [evidence(0.6)], False, 'ambiguous'),
-        (evidence(0.5, fitness=0.19), [], False, 'too little overlap'),
-        (evidence(0.06), [], False, 'ambiguous'),  # hardly above chance
-        (evidence(0.065), [evidence(0.05)], False, 'ambiguous'),  # margin enough, lead too small
-        (evidence(0.0, fitness=0.0), [], False, 'too little overlap'),
+        (findings(), '20 independent surfaces'),
+        (findings(found(0.2), slid(0.1, 1.0)), '5.0 times as well'),
+        (findings(seen_through=0.1), 'independent surfaces'),
+        (findings(Rival(0.8, 3.0)), 'independent surfaces'),  # nearby, but worse
+        (findings(mirrored=1.0), 'independent surfaces'),  # its own mirror image
+        (findings(curve=()), 'independent surfaces'),
+        (findings(curve=((0.94, 1.0), (1.06, 1.0), (1.14, 0.1))), 'independent surfaces'),  # the same answer
     ],
 )
-def test_verdicts(best, others, accepted, said):
-    verdict = decide(best, others, LIMITS)
-    assert verdict.accepted is accepted
+def test_what_nothing_speaks_against_is_accepted(given, said):
+    verdict = judged(given)
+    assert verdict.accepted
     assert said in verdict.reason
-    assert (verdict.fitness_source, verdict.fitness_target) == (best.fitness_source, best.fitness_target)
+    assert (verdict.fitness_source, verdict.fitness_target, verdict.inlier_rmse) == (0.5, 0.9, 0.01)
+    assert verdict.undetermined is None
 
 
-@given(st.floats(0, 1), st.floats(0, 1), st.lists(st.floats(0, 1), max_size=5), st.floats(0, 1))
-def test_more_competition_never_makes_a_verdict_kinder(score, fitness, others, another):
-    before = decide(evidence(score, fitness), map(evidence, others), LIMITS)
-    after = decide(evidence(score, fitness), map(evidence, [*others, another]), LIMITS)
-    assert after.margin <= before.margin
-    assert before.accepted or not after.accepted
+@pytest.mark.parametrize(
+    ('given', 'said'),
+    [
+        (findings(found(0.95)), 'a different transform fits 0.95 times as well'),
+        (findings(found(1.4)), 'a different transform'),  # better than the winner itself
+        (findings(slid(0.97, 0.6)), 'slides along (1.00, 0.00, 0.00) by 1.2'),
+        (findings(slid(0.97, -0.6)), 'by 1.2'),
+        (findings(turned(0.9, 180.0, Y)), 'turned by 180 degrees about (0.00, 1.00, 0.00)'),
+        (findings(curve=((0.88, 0.9), (1.14, 0.2), (1.25, 0.9))), 'scale not determined, between 8.8 and 12.5'),
+        (findings(Rival(0.95, 3.0)), 'a different transform'),  # nearby, and as good
+        (findings(mirrored=1.5), 'mirror image'),
+        (findings(half_shift=2.0), 'halves of the overlap'),
+        (findings(half_shift=float('inf')), 'halves of the overlap'),
+        (findings(seen_through=0.5), 'looked through 50%'),
+        (findings(agreement=agreement(planes=1.0)), 'verification.min_planes'),
+        (findings(agreement=agreement(inliers=3)), 'too little overlap'),
+    ],
+)
+def test_each_doubt_rejects_and_says_so(given, said):
+    verdict = judged(given)
+    assert not verdict.accepted
+    assert said in verdict.reason
+    assert verdict.confidence <= 0.5
 
 
-def test_what_competes_is_different_or_much_better():
-    best = evidence(0.5)
-    same, different = evidence(0.4, shift=0.05), evidence(0.3, shift=1.0)
-    much_better = evidence(0.9, shift=0.05)
-    assert competing(best, [best, same, different, much_better], PROBE, CONFIG) == [different, much_better]
+@pytest.mark.parametrize(
+    ('given', 'kind', 'low', 'high'),
+    [
+        (findings(slid(0.9, 0.6), slid(0.8, -1.0), slid(0.1, 1.2, Y)), 'slide', -2.0, 1.2),
+        (findings(slid(0.9, 0.6), slid(0.8, 1.0, -X)), 'slide', -2.0, 1.2),  # one axis, either sign
+        (findings(turned(0.9, 90.0), turned(1.0, 180.0)), 'turn', 0.0, 180.0),
+        (findings(curve=((0.88, 0.9), (1.14, 0.9))), 'scale', 8.8, 11.4),
+    ],
+)
+def test_one_direction_left_open_is_named_with_its_range(given, kind, low, high):
+    verdict = judged(given)
+    assert not verdict.accepted
+    assert verdict.undetermined.kind == kind
+    assert (verdict.undetermined.low, verdict.undetermined.high) == pytest.approx((low, high))
 
 
-def test_noise_few_points_and_later_attempts_change_what_is_asked():
-    plain = thresholds(CONFIG, 1.0, CONFIG.fine_samples, retried=False)
-    assert (plain.min_fitness, plain.min_margin) == (CONFIG.min_fitness, CONFIG.min_margin)
-    assert thresholds(CONFIG, 0.5, CONFIG.fine_samples, retried=False).min_fitness == 0.5 * CONFIG.min_fitness
-    assert thresholds(CONFIG, 1.0, CONFIG.fine_samples // 4, retried=False).min_lead == 2 * CONFIG.min_lead
-    assert thresholds(CONFIG, 1.0, CONFIG.fine_samples, retried=True).min_margin == CONFIG.min_margin_retried
+@pytest.mark.parametrize(
+    'given',
+    [
+        findings(slid(0.9, 0.6), slid(0.9, 0.6, Y)),  # two directions
+        findings(slid(0.9, 0.6), turned(0.9, 90.0)),
+        findings(slid(0.9, 0.6), found(0.9)),  # what the search found is no known direction
+        findings(slid(0.9, 0.6), seen_through=0.9),  # and wrong besides
+    ],
+)
+def test_more_than_one_direction_left_open_names_none(given):
+    assert judged(given).undetermined is None
+
+
+def test_with_the_scale_given_the_reason_does_not_ask_for_it():
+    verdict = judged(findings(curve=((0.88, 0.9), (1.14, 0.9))), estimate_scale=False)
+    assert not verdict.accepted
+    assert 'scale not determined' not in verdict.reason
+
+
+share = st.floats(0, 1)
+some_findings = st.builds(
+    lambda planes, ratios, curve, shift, through: findings(
+        *map(found, ratios),
+        agreement=agreement(planes),
+        curve=tuple(zip(SCALES, curve, strict=True)),
+        half_shift=shift,
+        seen_through=through,
+    ),
+    st.floats(0, 50),
+    st.lists(st.floats(0, 2), max_size=4),
+    st.lists(st.floats(0, 1.5), min_size=len(SCALES), max_size=len(SCALES)),
+    st.floats(0, 2),
+    share,
+)
+
+
+@given(some_findings, st.floats(0, 2))
+def test_more_competition_never_makes_a_verdict_kinder(before, another):
+    after = dataclasses.replace(before, rivals=(*before.rivals, found(another)))
+    assert margin(after) <= margin(before)
+    assert judged(before).accepted or not judged(after).accepted
+    assert confidence(after) <= confidence(before) + 1e-12
+
+
+@given(some_findings, st.floats(0, 1))
+def test_what_a_sensor_has_looked_through_never_helps(before, through):
+    after = dataclasses.replace(before, seen_through=max(before.seen_through, through))
+    assert judged(before).accepted or not judged(after).accepted
+
+
+@given(some_findings)
+def test_every_verdict_has_a_reason_and_a_confidence(given):
+    verdict = judged(given)
+    assert verdict.reason
+    assert 0.0 <= verdict.confidence <= 1.0
+    assert verdict.accepted == (verdict.confidence > 0.5) or verdict.confidence <= 0.5
 
 
 @pytest.mark.parametrize(
@@ -67,9 +170,30 @@ def test_noise_few_points_and_later_attempts_change_what_is_asked():
     [(1.0, ScaleConfig(), True), (2e6, ScaleConfig(), False), (5.0, ScaleConfig(estimate_scale=False), True)],
 )
 def test_a_scale_out_of_its_bounds_is_rejected_and_named(scale, bounds, accepted):
-    verdict = within_bounds(decide(evidence(0.5), [], LIMITS), scale, bounds)
+    verdict = within_bounds(judged(findings()), scale, bounds)
     assert verdict.accepted is accepted
     assert accepted or ('scale.scale_min' in verdict.reason and f'{scale:.4g}' in verdict.reason)
+
+
+@pytest.mark.parametrize('angle', [15.0, 90.0, 180.0])
+def test_a_turn_is_told_by_its_axis_and_angle(angle):
+    axis = np.array([0.6, 0.0, 0.8])
+    cross = np.cross(np.eye(3), -axis)
+    turn = np.eye(4)
+    turn[:3, :3] += np.sin(np.radians(angle)) * cross + (1 - np.cos(np.radians(angle))) * cross @ cross
+    found = motion(np.diag([2.0, 2.0, 2.0, 1.0]), turn @ np.diag([2.0, 2.0, 2.0, 1.0]), np.eye(3))
+    assert found.kind == 'turn'
+    assert found.amount == pytest.approx(angle)
+    assert abs(found.axis @ axis) == pytest.approx(1.0)
+
+
+def test_a_slide_is_told_by_its_direction_and_length_and_another_scale_by_neither():
+    slid = np.eye(4)
+    slid[:3, 3] = 0.0, -3.0, 0.0
+    found = motion(np.eye(4), slid, np.eye(3))
+    assert (found.kind, found.amount) == ('slide', 3.0)
+    np.testing.assert_allclose(found.axis, -Y)
+    assert motion(np.eye(4), np.diag([1.2, 1.2, 1.2, 1.0]), np.eye(3)) is None
 
 
 def test_without_hypotheses_the_verdict_says_so():

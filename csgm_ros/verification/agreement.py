@@ -1,0 +1,136 @@
+"""How far two clouds agree under a transform: where they meet, and how much of what they show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from csgm_ros.cloud.kernels import kernel
+from csgm_ros.cloud.nearest_grid import lookup
+from csgm_ros.cloud.normals import cosine
+from csgm_ros.verification.witnesses import NEAR, Witnesses
+
+INLIER = 0.5  # cells
+MIN_ANGLE, MAX_ANGLE, BENDS = 15.0, 40.0, 1.5  # degrees that normals may differ by; or medians across a neighbourhood
+FAR, MEETS, CROSSES, AGREES = 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """What the witnesses of both sides say of one transform; every plane counts once, and the side that says less.
+
+    Attributes
+    ----------
+    precision : float
+        Share of those that agree among those that meet the other cloud: contradiction lowers it, little
+        overlap does not.
+    coverage : float
+        Share of those that agree in all that the smaller cloud has: little overlap lowers it.
+    planes : float
+        Independent planes (or pieces of curved surface) that agree.
+    inliers : int
+        Points that agree, of the side that has fewer.
+    """
+
+    precision: float
+    coverage: float
+    planes: float
+    inliers: int
+
+    @property
+    def score(self) -> float:
+        """Precision times coverage."""
+        return self.precision * self.coverage
+
+
+class Comparison:
+    """Two clouds in one unit, at one cell, ready to be compared under transforms.
+
+    Parameters
+    ----------
+    source, target : Witnesses
+        In one unit: a transform's scale is about 1.
+    cell : float
+    """
+
+    def __init__(self, source: Witnesses, target: Witnesses, cell: float):
+        self.sides, self.cell = (source, target), cell
+        self._weights = tuple(1.0 / side.coplanar for side in self.sides)
+        self._least = min(weights.sum() for weights in self._weights)
+        bend = max(side.bend for side in self.sides)
+        self._min_cosine = cosine(min(MAX_ANGLE, max(MIN_ANGLE, BENDS * bend)))
+
+    def agreement(self, transform: np.ndarray) -> Agreement:
+        """Measure one (4, 4) transform."""
+        shares, agrees, inliers = [], [], []
+        for weights, (states, _) in zip(self._weights, self.states(transform), strict=True):
+            agree = states == AGREES
+            agrees.append(weights[agree].sum())
+            shares.append(agrees[-1] / max(weights[states > FAR].sum(), 1e-12))
+            inliers.append(int(agree.sum()))
+        planes = min(agrees)
+        return Agreement(float(min(shares)), float(min(1.0, planes / self._least)), float(planes), min(inliers))
+
+    def states(self, transform: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return what each side's sample meets under a (4, 4) transform, and the nearest point there."""
+        found = []
+        squared = (transform[:3, 0] ** 2).sum()
+        back = np.eye(4)
+        back[:3, :3] = transform[:3, :3].T / squared
+        back[:3, 3] = -back[:3, :3] @ transform[:3, 3]
+        for matrix, moving, still in ((transform, *self.sides), (back, *self.sides[::-1])):
+            unit = np.sqrt(np.sqrt((matrix[:3, 0] ** 2).sum()))  # neither cloud's cell counts more than the other's
+            states, near = np.empty(len(moving.sample), np.int8), np.empty(len(moving.sample), np.int64)
+            grid = still.grid
+            _meet(
+                matrix,
+                moving.points[moving.sample],
+                moving.normals[moving.sample],
+                (grid.index, grid.origin, grid.cell, grid.points, grid.normals),
+                (INLIER * self.cell * unit, NEAR * self.cell * unit, still.gap * unit, self._min_cosine * unit**2),
+                states,
+                near,
+            )
+            found.append((states, near))
+        return found
+
+    def overlap(self, transform: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the moved source points (I, 3) that agree, the target's normals there, and their weights."""
+        source, target = self.sides
+        states, near = self.states(transform)[0]
+        agree = states == AGREES
+        points = source.points[source.sample[agree]] @ transform[:3, :3].T + transform[:3, 3]
+        return points, target.normals[near[agree]], self._weights[0][agree]
+
+
+@kernel
+def _meet(m, points, normals, grid, lengths, states, near):
+    index, origin, cell, still, still_normals = grid
+    inlier, reach, gap, min_product = lengths
+    for k in range(len(points)):
+        a, b, c = points[k, 0], points[k, 1], points[k, 2]
+        x = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]
+        y = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3]
+        z = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
+        q = lookup(index, origin, cell, x, y, z)
+        near[k], states[k] = q, FAR
+        if q < 0:
+            continue
+        dx, dy, dz = x - still[q, 0], y - still[q, 1], z - still[q, 2]
+        squared = dx * dx + dy * dy + dz * dz
+        if squared >= reach * reach:
+            continue
+        states[k] = MEETS
+        u, v, w = still_normals[q, 0], still_normals[q, 1], still_normals[q, 2]
+        height = dx * u + dy * v + dz * w
+        aside = max(np.sqrt(max(squared - height * height, 0.0)) - gap, 0.0)
+        if height * height + aside * aside >= inlier * inlier:
+            continue
+        a, b, c = normals[k, 0], normals[k, 1], normals[k, 2]
+        product = (
+            (m[0, 0] * a + m[0, 1] * b + m[0, 2] * c) * u
+            + (m[1, 0] * a + m[1, 1] * b + m[1, 2] * c) * v
+            + (m[2, 0] * a + m[2, 1] * b + m[2, 2] * c) * w
+        )
+        states[k] = AGREES if abs(product) >= min_product else CROSSES

@@ -1,0 +1,208 @@
+"""Everything that is found out about a winner before it is judged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from csgm_ros.types import NearestGrid
+from csgm_ros.verification.agreement import Agreement, Comparison
+from csgm_ros.verification.probes import Probe, mirrors, scales, symmetries
+from csgm_ros.verification.witnesses import NEAR
+
+Refine = Callable[..., np.ndarray]
+"""``refine(transforms, grids, samples, distances, estimate_scale)``, see
+:func:`csgm_ros.transform.refinement.refine_between`; verification proposes, but does not know how to refine."""
+
+WIDE_DISTANCES, FINE_DISTANCES = (4.0, 2.5, 1.5), (0.75, 0.4)  # cells, of the correspondences of probes
+SAME_DISTANCES = (1.0, 0.5)
+FEW, SOME = 400, 700  # points
+MIN_OVERLAP = 20  # points, below which there is nothing to probe
+BOARDS = ((5.0, 0.0), (5.0, 0.37), (8.0, 0.0), (8.0, 0.37))  # edge in cells and phase of the checkerboards
+SAME_SCALE, SAME_ANGLE = 0.05, 10.0  # |log factor| and degrees up to which a rival only slides
+SAME = 2.5  # cells of RMS displacement up to which two transforms are one
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """How a rival differs from the winner: mostly a slide, or mostly a turn.
+
+    Attributes
+    ----------
+    kind : str
+        slide or turn.
+    axis : (3,) ndarray
+        Direction of the slide or axis of the turn, in the target's frame.
+    amount : float
+        Length of the slide, degrees of the turn.
+    """
+
+    kind: str
+    axis: np.ndarray
+    amount: float
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A different transform and how well it fits.
+
+    Attributes
+    ----------
+    ratio : float
+        Its score over the winner's.
+    displacement : float
+        RMS displacement from the winner, cells.
+    motion : Motion or None
+        How to get there from the winner; None where the scale changes too.
+    """
+
+    ratio: float
+    displacement: float
+    motion: Motion | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What is known about a winner.
+
+    Attributes
+    ----------
+    agreement : Agreement
+    rivals : tuple of Rival
+        Other finalists of the search; once probed, symmetry probes too.
+    scale_curve : tuple of (float, float)
+        Factor on the scale, and the score there over the winner's; empty until probed.
+    mirrored : float
+        Best score of the mirrored source over the winner's: well above 1 when the source is a mirror image.
+    half_shift : float
+        RMS displacement of the overlap between refinements on disjoint halves of the structure, cells; infinite where
+        there is too little; 0 until probed.
+    seen_through : float
+        Share of points that a sensor with known viewpoint has looked through; 0 where none is known.
+    """
+
+    agreement: Agreement
+    rivals: tuple[Rival, ...]
+    scale_curve: tuple[tuple[float, float], ...] = ()
+    mirrored: float = 0.0
+    half_shift: float = 0.0
+    seen_through: float = 0.0
+
+
+def compared(comparison: Comparison, winner: np.ndarray, others: Iterable[np.ndarray]) -> Findings:
+    """Return what the other finalists of the search, (4, 4) transforms, say about the winner."""
+    agreement = comparison.agreement(winner)
+    rivals = [_rival(comparison, winner, agreement, other) for other in others]
+    return Findings(agreement, tuple(rival for rival in rivals if rival.displacement > SAME))
+
+
+def probed(
+    comparison: Comparison, winner: np.ndarray, findings: Findings, refine: Refine, *, estimate_scale: bool
+) -> Findings:
+    """Return the findings with those of symmetry probes, other scales and halves added."""
+    overlap = comparison.overlap(winner)
+    if len(overlap[0]) < MIN_OVERLAP:
+        return replace(findings, half_shift=float('inf'))
+    agreement = findings.agreement
+    turned = symmetries(winner, *overlap)
+    moved = _refined(comparison, turned, (*WIDE_DISTANCES, *FINE_DISTANCES), refine, estimate_scale=estimate_scale)
+    rivals = [_rival(comparison, winner, agreement, other) for other in moved]
+    mirrored = _refined(
+        comparison, mirrors(winner, *overlap), (*WIDE_DISTANCES, *FINE_DISTANCES), refine, estimate_scale=estimate_scale
+    )
+    sized = scales(winner, overlap[0])
+    resized = _refined(comparison, sized, (WIDE_DISTANCES[-1], *FINE_DISTANCES), refine, estimate_scale=False)
+    return replace(
+        findings,
+        rivals=(*findings.rivals, *(rival for rival in rivals if rival.displacement > SAME)),
+        scale_curve=tuple((p.amount, _ratio(comparison, m, agreement)) for p, m in zip(sized, resized, strict=True)),
+        mirrored=max(_ratio(comparison, m, agreement) for m in mirrored),
+        half_shift=half_shift(comparison, winner, overlap[0], refine, estimate_scale=estimate_scale),
+    )
+
+
+def _refined(
+    comparison: Comparison, probes: list[Probe], distances: tuple[float, ...], refine: Refine, *, estimate_scale: bool
+) -> np.ndarray:
+    """Refine probes with correspondence distances in cells, the wide ones on fewer points."""
+    moved = np.array([probe.transform for probe in probes])
+    wide = _lengths([distance for distance in distances if distance > NEAR], comparison.cell)
+    fine = _lengths([distance for distance in distances if distance <= NEAR], comparison.cell)
+    if wide:
+        grids = _grids(comparison, 'wide')
+        few = tuple(np.arange(min(FEW, len(grid.points))) for grid in grids)
+        moved = refine(moved, grids, few, wide, estimate_scale=estimate_scale)
+    some = tuple(side.sample[:SOME] for side in comparison.sides)
+    return refine(moved, _grids(comparison, 'grid'), some, fine, estimate_scale=estimate_scale)
+
+
+def half_shift(
+    comparison: Comparison, winner: np.ndarray, overlap: np.ndarray, refine: Refine, *, estimate_scale: bool
+):
+    """Return by how many cells the overlap (I, 3) moves between refinements on disjoint halves of the structure.
+
+    The halves are the fields of a checkerboard; the median of several boards counts.
+    """
+    source, target = comparison.sides
+    cell = comparison.cell
+    places = source.points[source.sample] @ winner[:3, :3].T + winner[:3, 3], target.points[target.sample]
+    inverse = np.linalg.inv(winner)
+    own = overlap @ inverse[:3, :3].T + inverse[:3, 3]
+    shifts = []
+    for edge, phase in BOARDS:
+        black = [np.floor(place / (edge * cell) + phase).astype(int).sum(1) % 2 == 0 for place in places]
+        ends = []
+        for half in (black, [~side for side in black]):
+            samples = tuple(side.sample[chosen] for side, chosen in zip(comparison.sides, half, strict=True))
+            if min(map(len, samples)) < MIN_OVERLAP:
+                return float('inf')
+            lengths = _lengths(SAME_DISTANCES, cell)
+            grids = _grids(comparison, 'grid')
+            ends.append(refine(winner[None], grids, samples, lengths, estimate_scale=estimate_scale)[0])
+        shifts.append(_displacement(*ends, own) / cell)
+    return float(np.median(shifts))
+
+
+def _rival(comparison: Comparison, winner: np.ndarray, agreement: Agreement, other: np.ndarray) -> Rival:
+    source = comparison.sides[0]
+    points = source.points[source.sample[:FEW]]
+    apart = _displacement(winner, other, points) / comparison.cell
+    return Rival(_ratio(comparison, other, agreement), apart, motion(winner, other, points))
+
+
+def motion(winner: np.ndarray, other: np.ndarray, points: np.ndarray) -> Motion | None:
+    """Return how to get from one (4, 4) transform of (P, 3) points to another; None where the scale changes too."""
+    factor = np.sqrt((other[:3, 0] ** 2).sum() / (winner[:3, 0] ** 2).sum())
+    if abs(np.log(factor)) > SAME_SCALE:
+        return None
+    turn = other[:3, :3] @ np.linalg.inv(winner[:3, :3]) / factor
+    sine = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2.0
+    degrees = float(np.degrees(np.arctan2(np.linalg.norm(sine), (np.trace(turn) - 1.0) / 2.0)))
+    if degrees > SAME_ANGLE:
+        # the axis is the eigenvector of eigenvalue 1, which half turns have too
+        _, vectors = np.linalg.eigh(turn + turn.T)
+        axis = vectors[:, -1] * (1.0 if vectors[:, -1] @ sine >= 0.0 else -1.0)
+        return Motion('turn', axis, degrees)
+    middle = points.mean(0)
+    slide = (other - winner)[:3, :3] @ middle + (other - winner)[:3, 3]
+    length = float(np.linalg.norm(slide))
+    return Motion('slide', slide / max(length, 1e-12), length)
+
+
+def _ratio(comparison: Comparison, transform: np.ndarray, agreement: Agreement) -> float:
+    return comparison.agreement(transform).score / max(agreement.score, 1e-12)
+
+
+def _displacement(first: np.ndarray, second: np.ndarray, points: np.ndarray) -> float:
+    offsets = points @ (first - second)[:3, :3].T + (first - second)[:3, 3]
+    return float(np.sqrt((offsets**2).sum(1).mean()))
+
+
+def _grids(comparison: Comparison, name: str) -> tuple[NearestGrid, NearestGrid]:
+    return tuple(getattr(side, name) for side in comparison.sides)
+
+
+def _lengths(cells: Iterable[float], cell: float) -> tuple[float, ...]:
+    return tuple(length * cell for length in cells)

@@ -1,0 +1,131 @@
+"""Symmetry probes: transforms that would fit as well if the scene repeated itself, turned onto itself or had no scale.
+
+The search finds what competes with its winner only by chance. A corridor slid along itself, a table turned by half a
+turn or a corner blown up is easily proposed, once the winner is known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+SLIDES = np.array([-1.2, -1.0, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2])  # RMS radii of the overlap
+TURNS = (90.0, 180.0, 270.0)
+FINER_TURNS = (30.0, 60.0, 72.0, 120.0, 144.0)  # about the axis of revolution, if there were one
+SCALES = (0.7, 0.8, 0.88, 0.94, 1.06, 1.14, 1.25, 1.43)
+MIRRORS = 40  # planes in all directions: the plane in which an object is nearly symmetric may be any
+SAME_AXIS = 0.97  # cosine from which two axes are one
+
+
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """A change of the winner that might fit as well.
+
+    Attributes
+    ----------
+    kind : str
+        slide, turn, scale or mirror.
+    axis : (3,) ndarray
+        Direction of the slide, axis of the turn or normal of the mirror, in the target's frame; zeros for a scale.
+    amount : float
+        Length of the slide, degrees of the turn, factor on the scale.
+    transform : (4, 4) ndarray
+        The changed winner.
+    """
+
+    kind: str
+    axis: np.ndarray
+    amount: float
+    transform: np.ndarray
+
+
+def symmetries(transform: np.ndarray, points: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> list[Probe]:
+    """Return slides and turns of a (4, 4) transform, along and about the axes of its overlap.
+
+    Parameters
+    ----------
+    points, normals : (I, 3) ndarray
+        Where the clouds agree, in the target's frame.
+    weights : (I,) ndarray
+    """
+    centre = points.mean(0)
+    spread, along = np.linalg.eigh(np.cov((points - centre).T))
+    length = np.sqrt(spread.sum())
+    _, across = np.linalg.eigh((normals * weights[:, None]).T @ normals)  # weakest first: where nothing holds it
+    found = []
+    for axis in _different((across[:, 0], across[:, 1], along[:, 2])):
+        found += [Probe('slide', axis, t * length, _moved(axis * t * length) @ transform) for t in SLIDES]
+    middle = _middle(points, across)
+    for axis in _different((*across.T, *along.T)):
+        found += [Probe('turn', axis, a, _turned(middle, axis, a) @ transform) for a in TURNS]
+    axis = _revolution(spread, along)
+    found += [Probe('turn', axis, a, _turned(middle, axis, a) @ transform) for a in FINER_TURNS]
+    return found
+
+
+def mirrors(transform: np.ndarray, points: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> list[Probe]:
+    """Return a (4, 4) transform followed by mirrors through the middle of its overlap, see :func:`symmetries`."""
+    _, along = np.linalg.eigh(np.cov(points.T))
+    _, across = np.linalg.eigh((normals * weights[:, None]).T @ normals)
+    middle = _middle(points, across)
+    found = []
+    for axis in (*_different((*across.T, *along.T)), *_hemisphere(MIRRORS)):
+        change = np.eye(4)
+        change[:3, :3] -= 2.0 * np.outer(axis, axis)
+        change[:3, 3] = 2.0 * axis * (axis @ middle)
+        found.append(Probe('mirror', axis, 1.0, change @ transform))
+    return found
+
+
+def scales(transform: np.ndarray, points: np.ndarray) -> list[Probe]:
+    """Return a (4, 4) transform at other scales about the middle of (I, 3) points of its overlap."""
+    centre = points.mean(0)
+    found = []
+    for factor in SCALES:
+        change = np.diag([factor, factor, factor, 1.0])
+        change[:3, 3] = (1.0 - factor) * centre
+        found.append(Probe('scale', np.zeros(3), factor, change @ transform))
+    return found
+
+
+def _hemisphere(count: int) -> np.ndarray:
+    """Return (count, 3) directions spread evenly over half a sphere: a Fibonacci lattice."""
+    height = (np.arange(count) + 0.5) / count
+    angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(count)
+    ring = np.sqrt(1.0 - height**2)
+    return np.column_stack([ring * np.cos(angle), ring * np.sin(angle), height])
+
+
+def _different(axes) -> list[np.ndarray]:
+    kept: list[np.ndarray] = []
+    for axis in axes:
+        if all(abs(axis @ other) < SAME_AXIS for other in kept):
+            kept.append(axis)
+    return kept
+
+
+def _middle(points: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Halfway between the ends along each axis: unlike the mean, it does not lean to where the points are dense."""
+    return axes @ np.percentile(points @ axes, (2, 98), axis=0).mean(0)
+
+
+def _revolution(spread: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """The axis across the two directions in which the points spread most alike."""
+    return along[:, 2] if spread[1] - spread[0] < spread[2] - spread[1] else along[:, 0]
+
+
+def _moved(offset: np.ndarray) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, 3] = offset
+    return matrix
+
+
+def _turned(centre: np.ndarray, axis: np.ndarray, degrees: float) -> np.ndarray:
+    angle = np.radians(degrees)
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    matrix = np.eye(4)
+    matrix[:3, :3] += np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    matrix[:3, 3] = centre - matrix[:3, :3] @ centre
+    return matrix

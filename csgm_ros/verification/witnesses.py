@@ -1,0 +1,134 @@
+"""The clouds at the length of their structure, and how much each point of them says.
+
+Lengths are relative to a *cell*: the voxel of which the smaller cloud occupies some thousands, whatever its extent. A
+floor of a thousand points is no more than one witness: they all say the same. So a point counts the less, the more
+points lie in its plane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from csgm_ros.cloud import nearest_grid
+from csgm_ros.cloud.kernels import kernel
+from csgm_ros.cloud.normals import cosine
+from csgm_ros.cloud.prepare import normals_of
+from csgm_ros.cloud.voxels import lattice_origin, occupied, voxel_means
+from csgm_ros.types import NearestGrid
+
+CELLS = 4000  # of the smaller cloud
+FINE = 2.5  # points a cell, along an edge
+MOST_POINTS, MOST_SAMPLES, SAMPLES = 25000, 8000, 2000
+NEAR, WIDE = 1.5, 4.1  # cells: where a point must find the other surface, and where ICP may look for it
+COPLANAR_ANGLE, COPLANAR_OFFSET = 15.0, 0.75  # degrees, cells
+ROUGH = (7.5, 15.0)  # degrees between neighbouring normals: a surface; nothing but noise
+
+
+@dataclass(frozen=True, eq=False)
+class Witnesses:
+    """A cloud at the length of its structure.
+
+    Attributes
+    ----------
+    points, normals : (N, 3) ndarray
+    grid, wide : NearestGrid
+        Of all points, and of some within reach of a wide correspondence distance.
+    sample : (S,) index array
+        The points that are asked.
+    coplanar : (S,) ndarray
+        How many of the sample lie in the plane of each, itself included.
+    gap : float
+        How far aside of a point the surface still is, for sparse clouds.
+    bend : float
+        Median angle in degrees between the normals across a neighbourhood: curvature, and noise.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    grid: NearestGrid
+    wide: NearestGrid
+    sample: np.ndarray
+    coplanar: np.ndarray
+    gap: float
+    bend: float
+
+
+def working_cell(points: np.ndarray, count: int = CELLS) -> float:
+    """Return the edge of the voxels of which (N, 3) points occupy ``count``, or a quarter of the points if fewer."""
+    points = points[:: max(1, len(points) // 60000)]
+    count = min(count, len(points) // 4)
+    size, low, high = float(np.ptp(points, axis=0).max()) / np.sqrt(count), 0.0, np.inf
+    for _ in range(20):
+        found = len(occupied(points, lattice_origin(points, size), size)[0])
+        if abs(found - count) <= 0.03 * count:
+            break
+        low, high = (size, high) if found > count else (low, size)
+        size *= np.sqrt(found / count)
+        if not low < size < high:
+            size = (low + high) / 2 if np.isfinite(high) else 2 * low
+    return float(size)
+
+
+def witnesses(
+    points: np.ndarray, cell: float, plane_reach: float, rng: np.random.Generator, neighbors: int
+) -> Witnesses:
+    """Look at (N, 3) points at a cell.
+
+    Parameters
+    ----------
+    plane_reach : float
+        Points farther apart than this are in different planes, so that a large cloud's witnesses count as a small
+        one's.
+    neighbors : int
+        Points from which a normal is estimated.
+    """
+    means = voxel_means(points, cell / FINE)
+    if len(means) > MOST_POINTS:
+        means = means[rng.permutation(len(means))[:MOST_POINTS]]
+    normals = normals_of(means, min(neighbors, len(means)))
+    order = rng.permutation(len(means))
+    extent = len(occupied(means, lattice_origin(means, cell), cell)[0]) / CELLS
+    sample = order[: int(np.clip(SAMPLES * extent, SAMPLES, MOST_SAMPLES))]
+    some = order[: max(3000, len(means) // 5)]
+    gap, bend = _spacing(means, normals, sample[:1000], neighbors, cell)
+    same = cosine(COPLANAR_ANGLE)
+    return Witnesses(
+        means,
+        normals,
+        nearest_grid.build(means, normals, 0.4 * cell, (NEAR + 0.1) * cell),
+        nearest_grid.build(means[some], normals[some], 0.75 * cell, WIDE * cell),
+        sample,
+        coplanar(means[sample], normals[sample], same, COPLANAR_OFFSET * cell, plane_reach),
+        gap,
+        bend,
+    )
+
+
+def _spacing(points, normals, some, neighbors: int, cell: float) -> tuple[float, float]:
+    near = min(neighbors, len(points))
+    distances, index = cKDTree(points).query(points[some], k=[2, min(5, near), near])
+    angles = np.degrees(np.arccos(np.minimum(1.0, np.abs(np.einsum('sd,skd->sk', normals[some], normals[index])))))
+    known = np.interp(np.median(angles[:, 0]), ROUGH, (1.0, 0.0))
+    return float(np.clip(np.median(distances[:, 1]) - 0.5 * cell, 0.0, cell) * known), float(np.median(angles[:, 2]))
+
+
+@kernel
+def coplanar(points, normals, min_cosine, max_offset, reach):
+    """Return how many of (S, 3) points lie in the plane of each, within reach of it, itself included."""
+    count = np.ones(len(points))
+    for i in range(len(points)):
+        for j in range(i):
+            x, y, z = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
+            if x * x + y * y + z * z > reach * reach:
+                continue
+            u, v, w = normals[i, 0], normals[i, 1], normals[i, 2]
+            d, e, f = normals[j, 0], normals[j, 1], normals[j, 2]
+            if abs(u * d + v * e + w * f) < min_cosine:
+                continue
+            if abs(x * u + y * v + z * w) < max_offset and abs(x * d + y * e + z * f) < max_offset:
+                count[i] += 1
+                count[j] += 1
+    return count
