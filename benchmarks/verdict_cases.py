@@ -226,7 +226,7 @@ def room_part(rng) -> Scene:
     """A corner of a large room, seen in one view, in the cloud of the whole."""
     world, size = _room(rng, rng.uniform((6.0, 4.0), (9.0, 6.0)), rng.integers(12, 20))
     at = np.array([*rng.uniform((0.8, 0.8), size - 0.8), 0.6])
-    eye = [*at, *rng.uniform(-1.2, 1.2, 2), 1.3]
+    eye = at + np.append(rng.uniform(-1.2, 1.2, 2), 1.3)
     eye[:2] = np.clip(eye[:2], 0.4, size - 0.4)
     one = depth(world, eye, at, rng, rays=16000, reach=3.0)
     return Scene(one, fused(world, views_of_room(size, rng, 16), rng, voxel=0.03), eyes=(eye, None))

@@ -173,7 +173,7 @@ def furniture(world: World, rng, low, high, count: int) -> World:
             world.box((x, y, z), size, yaw)
             for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
                 leg = Rotation.from_euler('z', yaw, degrees=True).apply((a * size[0] / 2.3, b * size[1] / 2.3, z / 2))
-                world.cylinder((*leg, x, y, 0), 0.03, z)
+                world.cylinder(leg + np.array([x, y, 0.0]), 0.03, z)
             world.box((x, y, z + 0.1), rng.uniform(0.1, 0.4, 3) * (1, 1, 0.6), rng.uniform(0, 90))
         elif kind == 1:
             width, tall = rng.uniform(0.6, 1.3), rng.uniform(0.9, 2.0)
@@ -188,7 +188,7 @@ def furniture(world: World, rng, low, high, count: int) -> World:
             world.cylinder((x, y, tall / 2), 0.03, tall).sphere((x, y, tall), rng.uniform(0.1, 0.25))
         elif kind == 4:
             world.box((x, y, 0.45), (0.45, 0.45, 0.06), yaw)
-            back = (*Rotation.from_euler('z', yaw, degrees=True).apply((0, 0.2, 0.75)), x, y, 0)
+            back = Rotation.from_euler('z', yaw, degrees=True).apply((0, 0.2, 0.75)) + np.array([x, y, 0.0])
             world.box(back, (0.45, 0.05, 0.5), yaw)
         else:
             radius = rng.uniform(0.15, 0.4)
