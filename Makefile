@@ -43,6 +43,7 @@ test: $(READY) $(TF2)
 lint: $(READY)
 	@$(PY) -m ruff check . && $(PY) -m ruff format --check .
 	@$(PY) -m numpydoc.hooks.validate_docstrings $$(git ls-files 'csgm_ros/*.py')
+	@$(PY) -m mypy csgm_ros
 
 bench: $(READY)
 	@set -e; for script in $$(grep -l __main__ $(BENCH)/*.py); do echo "== $$script"; $(PY) "$$script" $(ARGS); done

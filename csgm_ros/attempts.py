@@ -58,6 +58,7 @@ def unanimous(results: list[RegistrationResult], different: float) -> Registrati
         RMS displacement, target units, from which two transforms contradict each other.
     """
     best = max(results, key=lambda result: (result.accepted, result.verdict.margin))
+    assert best.source_graph is not None  # as every attempt has
     nodes = best.source_graph.nodes
     for other in results:
         if other.accepted and best.transform.displacement(other.transform, nodes) > different:

@@ -107,7 +107,8 @@ def register(
     clock.enter('scale normalization')
     pair = normalize(clouds, config)  # step 1
     sides = zip(pair.clouds, pair.normalizations, strict=True)
-    ladder = Ladder(*(unit.apply(cloud) for cloud, unit in sides), seed)
+    source_part, target_part = (unit.apply(cloud) for cloud, unit in sides)
+    ladder = Ladder(source_part, target_part, seed)
     viewpoints = viewpoint(source_viewpoint, NAMES[0]), viewpoint(target_viewpoint, NAMES[1])
     views: dict[int, View] = {}
     results: dict[int, RegistrationResult] = {}
@@ -163,8 +164,8 @@ def _view(
     if not attempt.smoothing:
         return View(pair, config, rng.spawn(1)[0], refine_between, viewpoints)
     sides = zip(pair.clouds, pair.normalizations, strict=True)
-    clouds = tuple(unit.inverse().apply(smoothed(unit.apply(cloud), attempt.smoothing)) for cloud, unit in sides)
-    pair = NormalizedPair(clouds, pair.normalizations)
+    first, second = (unit.inverse().apply(smoothed(unit.apply(cloud), attempt.smoothing)) for cloud, unit in sides)
+    pair = NormalizedPair((first, second), pair.normalizations)
     return View(pair, config, rng, refine_between, viewpoints, smoothed=True)
 
 
@@ -181,7 +182,9 @@ def _structures(
                 break
             seed_size = min(config.supervoxels.seed_size * 1.1 * np.sqrt(crowding), 1.0)
             config = replaced(config, {'supervoxels.seed_size': float(seed_size)})
-        return tuple(pool.map(_described, NAMES, cuts, pair.normalizations, (config,) * 2, rng.spawn(2), relatives))
+        found = pool.map(_described, NAMES, cuts, pair.normalizations, (config,) * 2, rng.spawn(2), relatives)
+        source, target = found
+        return source, target
 
 
 def _cut(name: str, *inputs):
@@ -297,7 +300,7 @@ def _candidates(
     sources: tuple[str, ...], structures: StructurePair, view: View, config: Config, rng: np.random.Generator, clock
 ) -> Iterator[None]:
     """Propose, search, refine and measure; yield after the hypotheses of each source."""
-    grids: tuple[NearestGrid, ...] = ()
+    grids: tuple[NearestGrid, NearestGrid] | None = None
     for name in sources:
         hypotheses = propose(name, structures, config.hypotheses, rng)
         if name == 'planes':  # searched and refined already, in lengths of their own
@@ -337,12 +340,12 @@ def _result(
     own = pair.in_own_units(best)
     if not config.scale.estimate_scale:
         own = dataclasses.replace(own, scale=1.0)  # which it is but for rounding
-    shown = (
+    first, second = (
         dataclasses.replace(graph, nodes=unit.inverse().apply(graph.nodes))
         for graph, unit in zip(graphs, pair.normalizations, strict=True)
     )
     matches = guided, agree[tuple(guided.T)], unguided, agree[tuple(unguided.T)]
-    return RegistrationResult(own, verdict, {}, 0, config, *shown, *matches)
+    return RegistrationResult(own, verdict, {}, 0, config, first, second, *matches)
 
 
 def _updated(earlier: RegistrationResult | None, result: RegistrationResult) -> RegistrationResult:

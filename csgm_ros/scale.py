@@ -12,7 +12,7 @@ from csgm_ros.types import NormalizedPair, Similarity
 
 def radius(points: np.ndarray) -> float:
     """Return the largest distance of (N, 3) points to their centroid, the numerator of Eq. (1)."""
-    return float(np.sqrt(((points - points.mean(0)) ** 2).sum(1).max()))
+    return float(np.sqrt(np.max(((points - points.mean(0)) ** 2).sum(1))))
 
 
 def normalize(clouds: tuple[np.ndarray, np.ndarray], config: Config) -> NormalizedPair:
@@ -36,8 +36,8 @@ def normalize(clouds: tuple[np.ndarray, np.ndarray], config: Config) -> Normaliz
         with naming(name):
             kept.append(without_uniform_outliers(without_extremes(cloud)))
             dense.append(without_isolated(kept[-1], factor))
-    units = normalizations(*dense, config.scale)
-    return NormalizedPair(tuple(without_far(cloud, unit) for cloud, unit in zip(kept, units, strict=True)), units)
+    units = normalizations(dense[0], dense[1], config.scale)
+    return NormalizedPair((without_far(kept[0], units[0]), without_far(kept[1], units[1])), units)
 
 
 def normalizations(source: np.ndarray, target: np.ndarray, config: ScaleConfig) -> tuple[Similarity, Similarity]:
@@ -57,10 +57,11 @@ def normalizations(source: np.ndarray, target: np.ndarray, config: ScaleConfig) 
     radii = np.array([radius(source), radius(target)])
     if not config.estimate_scale:
         radii[:] = np.sqrt(radii.prod())
-    return tuple(
+    first, second = (
         Similarity(1.0 / length, np.eye(3), -points.mean(0) / length)
         for points, length in zip((source, target), radii, strict=True)
     )
+    return first, second
 
 
 def search_range(

@@ -35,7 +35,8 @@ def checked_value(spec: dataclasses.Field, kind: Any, value: Any) -> Any:
         value = float(value)
     if typing.get_origin(kind) is tuple:
         if not isinstance(value, (list, tuple)) or not value:
-            example = ', '.join(map(str, spec.default))
+            default: Any = spec.default
+            example = ', '.join(map(str, default))
             raise ConfigError(f'{spec.name} must be a non-empty list such as [{example}], not {value!r}')
         return tuple(checked_value(spec, typing.get_args(kind)[0], item) for item in value)
     if type(value) is not kind:
@@ -96,7 +97,8 @@ def replaced(config: Any, values: dict[str, Any]) -> Any:
     unknown = [name for name in values if name not in flatten(config)]
     if unknown:
         raise ConfigError(f'no parameter {unknown[0]!r}; `csgm config` lists all of them')
-    own, nested = {}, {}
+    own: dict[str, Any] = {}
+    nested: dict[str, dict[str, Any]] = {}
     for name, value in values.items():
         head, _, rest = name.partition('.')
         if rest:

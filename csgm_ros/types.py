@@ -251,7 +251,7 @@ class NearestGrid(NamedTuple):
 
     points: np.ndarray
     normals: np.ndarray
-    index: np.ndarray
+    index: np.ndarray  # type: ignore[assignment]  # hides tuple.index, which nobody asks for
     origin: np.ndarray
     cell: float
 

@@ -70,8 +70,8 @@ def _document(names: list[str], rows: list[Row], edges: list[Edge], aligned: Ali
     degrees = Counter(node for k in np.flatnonzero(aligned.kept) for node in (edges[k].source, edges[k].target))
     components = []
     for number in sorted(set(aligned.component), key=lambda c: (-(aligned.component == c).sum(), c)):
-        members = np.flatnonzero(aligned.component == number)
-        frame = root if root in members else max(members, key=lambda node: (degrees[node], -node))
+        members = [int(node) for node in np.flatnonzero(aligned.component == number)]
+        frame = root if root is not None and root in members else max(members, key=lambda node: (degrees[node], -node))
         to_frame = aligned.poses[frame].inverse()
         clouds = {}
         for node in members:
@@ -81,7 +81,7 @@ def _document(names: list[str], rows: list[Row], edges: list[Edge], aligned: Ali
     return {
         'components': components,
         'inconsistent_pairs': [
-            _inconsistency(k, names, rows, edges, aligned)
+            _inconsistency(int(k), names, rows, edges, aligned)
             for k in np.flatnonzero(~aligned.kept & ~aligned.contradicted)
         ],
         'contradicted_pairs': [rows[k]['id'] for k in np.flatnonzero(aligned.contradicted)],

@@ -100,7 +100,7 @@ def from_folder(folder: str | Path, source: str, target: str, config: Config, se
         Where a subfolder holds no such file or several, or none does.
     """
     folder = Path(folder)
-    found = {}
+    found: dict[Path, dict[str, Path]] = {}
     for side, pattern in (('source', source), ('target', target)):
         for file in sorted(folder.glob(pattern)):
             known = found.setdefault(file.parent, {})

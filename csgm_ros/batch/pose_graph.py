@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -115,7 +115,7 @@ def path(count: int, ends: np.ndarray, usable: np.ndarray, start: int, end: int)
     """Return the fewest usable edges that lead from one node to another; empty where none do."""
     reached: dict[int, int] = {start: -1}
     ways: list[list[int]] = [[] for _ in range(count)]
-    for number in np.flatnonzero(usable):
+    for number in map(int, np.flatnonzero(usable)):
         for node in ends[number]:
             ways[node].append(number)
     row = [start]
@@ -154,13 +154,14 @@ def _start(count: int, ends: np.ndarray, transforms: list[Similarity], tolerance
     from scipy.cluster.hierarchy import DisjointSet
 
     votes = _votes(count, ends, transforms, tolerance)
-    sets, tree = DisjointSet(range(count)), [[] for _ in range(count)]
+    sets = DisjointSet(range(count))
+    tree: list[list[tuple[int, Similarity]]] = [[] for _ in range(count)]
     for number in np.argsort(-votes, kind='stable'):
         source, target = ends[number]
         if sets.merge(source, target):
             tree[source].append((target, transforms[number].inverse()))
             tree[target].append((source, transforms[number]))
-    poses: list[Similarity | None] = [None] * count
+    poses: list[Any] = [None] * count  # a pose each, once the tree is walked
     for root in range(count):
         if poses[root] is not None:
             continue
@@ -309,9 +310,10 @@ def _checked(count: int, ends: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray
     from scipy.cluster.hierarchy import DisjointSet
 
     rng = np.random.default_rng(0)
-    sets, forest, parent_edge = DisjointSet(range(count)), [[] for _ in range(count)], np.full(count, -1)
+    sets, parent_edge = DisjointSet(range(count)), np.full(count, -1)
+    forest: list[list[tuple[int, int]]] = [[] for _ in range(count)]
     in_forest = np.zeros(len(ends), bool)
-    for number in np.flatnonzero(kept):
+    for number in map(int, np.flatnonzero(kept)):
         source, target = ends[number]
         if sets.merge(source, target):
             in_forest[number] = True
@@ -332,7 +334,7 @@ def _checked(count: int, ends: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray
     spanned = {}
     for name, chosen in (('kept', kept & ~in_forest), ('rejected', ~kept)):
         labels = np.zeros(count, np.uint64)
-        for number in np.flatnonzero(chosen):
+        for number in map(int, np.flatnonzero(chosen)):
             source, target = ends[number]
             if sets.connected(source, target):
                 label = rng.integers(1, 2**63, dtype=np.uint64)

@@ -84,6 +84,9 @@ class Results:
         When the folder cannot be written, or another run writes there.
     """
 
+    _journal: int
+    _length: int
+
     def __init__(self, folder: str | Path):
         self.folder = Path(folder)
         try:

@@ -39,6 +39,7 @@ def register_pair(pair: Pair, threads: int) -> dict:
         result = register(source, target, config, seed=pair.seed)
     except CsgmError as error:
         return {**failed(pair, str(error)), 'worker': platform.node(), 'versions': versions()}
+    assert result.source_graph is not None  # as every registration has
     nodes = result.source_graph.nodes
     center = nodes.mean(0)
     verdict = {name: value for name, value in vars(result.verdict).items() if isinstance(value, (int, float))}

@@ -26,7 +26,7 @@ def inspect(points: np.ndarray) -> str:
     from scipy.spatial import cKDTree
 
     finite = points[np.isfinite(points).all(axis=1)]
-    radius = float(np.linalg.norm(finite - finite.mean(axis=0), axis=1).max())
+    radius = float(np.max(np.linalg.norm(finite - finite.mean(axis=0), axis=1)))
     distinct = _distinct(finite)
     if radius == 0 or len(distinct) < 2:
         raise DegenerateCloudError('all points are in one place; record the cloud again')

@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
         if arguments and arguments[0] in ROS_COMMANDS:
-            return _ros_command(*arguments[:1], arguments[1:])
+            return _ros_command(arguments[0], arguments[1:])
         if arguments and arguments[0] == 'batch':
             return _batch(arguments[1:])
         options = _parser().parse_args(arguments)
@@ -168,8 +168,10 @@ def _register(options) -> int:
 
     try:
         with report.ProgressBar() as progress:
-            details = {'on_progress': progress, 'details': bool(options.report)}
-            result = register(source.points, target.points, config, seed=options.seed, **details)
+            shown = bool(options.report)
+            result = register(
+                source.points, target.points, config, seed=options.seed, on_progress=progress, details=shown
+            )
     except InputError as error:
         where = options.bag or f'source {options.source}, target {options.target}'
         raise InputError(f'{error} ({where})') from None

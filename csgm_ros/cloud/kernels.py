@@ -30,9 +30,9 @@ def kernel(function: Callable | None = None, *, inline: bool = False) -> Callabl
     if function is None:
         return functools.partial(kernel, inline=inline)
     compiled = numba.njit(cache=True, nogil=True, inline='always' if inline else 'never')(function)
-    if numba.config.DISABLE_JIT:
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]  # set on import, which the stub does not know
         return compiled
-    compiled._cache._cache_file._source_stamp = sources_digest()
+    compiled._cache._cache_file._source_stamp = sources_digest()  # type: ignore[attr-defined]  # numba's own
     return compiled
 
 

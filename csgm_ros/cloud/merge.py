@@ -52,7 +52,7 @@ def average_voxels(
     points: np.ndarray, colors: np.ndarray | None, voxel_size: float
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the mean point and colour of each occupied voxel; ``voxel_size`` relative to the radius."""
-    edge = max(voxel_size, FINEST) * float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).max()))
+    edge = max(voxel_size, FINEST) * float(np.sqrt(np.max(((points - points.mean(axis=0)) ** 2).sum(axis=1))))
     if edge == 0.0:
         return points[:1], None if colors is None else colors[:1]
     merged, voxel = voxelized(points, edge)

@@ -32,7 +32,7 @@ class Plane(NamedTuple):
 
 def frame(normal: np.ndarray) -> np.ndarray:
     """Return a rotation (3, 3) that takes the unit ``normal`` to z."""
-    x = np.cross(np.eye(3)[np.abs(normal).argmin()], normal)
+    x = np.cross(np.eye(3)[np.argmin(np.abs(normal))], normal)
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(normal, x), normal])
 

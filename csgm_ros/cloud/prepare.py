@@ -44,9 +44,9 @@ def finite_points(points: np.ndarray, name: str = 'cloud', most: int | None = No
         raise DegenerateCloudError(f'{name}: {len(points)} finite points; at least {MIN_POINTS} are needed')
     if np.abs(points).max() > MAX_COORDINATE:
         raise InputError(f'{name}: coordinates beyond {MAX_COORDINATE:g}; choose a larger unit or remove such points')
-    most = without_extremes(points)  # one point far out would make a line of any cloud
-    centred = most - most.mean(0)
-    extents = np.linalg.eigvalsh(centred.T @ centred / len(most))
+    inner = without_extremes(points)  # one point far out would make a line of any cloud
+    centred = inner - inner.mean(0)
+    extents = np.linalg.eigvalsh(centred.T @ centred / len(inner))
     if extents[1] <= 1e-10 * extents[2] or extents[2] <= 0.0:
         raise DegenerateCloudError(f'{name}: all points in one place or on one line; give a cloud of surfaces')
     return points

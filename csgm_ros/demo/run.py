@@ -84,7 +84,7 @@ def run(source: str | None, target: str | None, output: str, seed: int = 0) -> i
 def _pair(source: str | None, target: str | None, seed: int, say: _Narrator) -> Pair:
     if bool(source) != bool(target):
         raise InputError('demo needs both --source and --target, or neither')
-    if source:
+    if source and target:
         say(f'reading {source} and {target}')
         clouds = files.read_cloud(source), files.read_cloud(target)
         return Pair(*clouds, clouds[1].points.shape, None)
@@ -106,7 +106,7 @@ def _published(pair: Pair, path: Path) -> Path:
         if cloud.colors is not None:
             colors = (255 * cloud.colors).round().astype(np.uint8)
             arrays[f'{name}_colors'] = colors.reshape(arrays[name].shape)
-    np.savez(path, **arrays)
+    np.savez(path, **arrays)  # type: ignore[arg-type]  # the stub takes any name for allow_pickle
     return path
 
 

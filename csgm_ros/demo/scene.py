@@ -87,7 +87,7 @@ class Room:
     def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
         """Follow rays from (N, 3) origins along (N, 3) unit directions."""
         rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
-        answer = self._scene.cast_rays(self._open3d.core.Tensor(rays))
+        answer = self._scene.cast_rays(self._open3d.core.Tensor(rays))  # type: ignore[call-overload]  # its defaults are not stubbed
         distance = answer['t_hit'].numpy().astype(float)
         normals = answer['primitive_normals'].numpy().astype(float)
         hit = np.isfinite(distance)

@@ -152,12 +152,12 @@ def sfm_cloud(room: Room, rng: np.random.Generator, points: int = 40000) -> tupl
         along = np.where(outlier, rng.normal(0, 0.35, len(sight)), along) / hits.distance[keep]
         found.append(hits.points[keep] + sight * along[:, None] + rng.normal(0, 0.003, sight.shape))
         colors.append(room.colors(hits)[keep])
-    found, colors = np.concatenate(found), np.concatenate(colors)
-    centers = found[rng.integers(0, len(found), 14)]
-    gaps = np.linalg.norm(found[:, None] - centers, axis=2) < rng.uniform(0.08, 0.22, 14)
+    points_found, colors_found = np.concatenate(found), np.concatenate(colors)
+    centers = points_found[rng.integers(0, len(points_found), 14)]
+    gaps = np.linalg.norm(points_found[:, None] - centers, axis=2) < rng.uniform(0.08, 0.22, 14)
     kept = np.flatnonzero(~gaps.any(axis=1))
     kept = np.sort(rng.permutation(kept)[:points])
-    return found[kept], colors[kept]
+    return points_found[kept], colors_found[kept]
 
 
 def look_at(eye: np.ndarray, at: np.ndarray) -> Similarity:
@@ -180,7 +180,7 @@ def random_similarity(rng: np.random.Generator) -> Similarity:
     """Draw a rotation about any axis, a translation and a scale between 1/20 and 20: the gauge of an SfM cloud."""
     w, *axis = rng.normal(size=4)
     scale = float(np.exp(rng.uniform(-np.log(20), np.log(20))))
-    return Similarity.from_quaternion([*axis, w], rng.normal(0, 10, 3), scale)
+    return Similarity.from_quaternion(np.array([*axis, w]), rng.normal(0, 10, 3), scale)
 
 
 def _random_view(room: Room, pose: Similarity, rng: np.random.Generator, rays: int) -> Hits:

@@ -54,7 +54,7 @@ def read_clouds(
     InputError
         No such bag or topic, or no usable cloud on it; the message lists the cloud topics there are.
     """
-    windows = {source_topic: deque(maxlen=source_window), target_topic: deque(maxlen=target_window)}
+    windows: dict[str, deque] = {source_topic: deque(maxlen=source_window), target_topic: deque(maxlen=target_window)}
     with open_bag(bag) as reader:
         chosen = [connection for connection in reader.connections if connection.topic in windows]
         require_topics(bag, reader, windows)

@@ -199,7 +199,7 @@ def _section(config: Any, indent: str) -> list[str]:
     for spec in dataclasses.fields(config):
         value = getattr(config, spec.name)
         if dataclasses.is_dataclass(value):
-            summary = type(value).__doc__.strip().splitlines()[0]
+            summary = (type(value).__doc__ or '').strip().splitlines()[0]
             lines += ['', *_comment(summary, indent), f'{indent}{spec.name}:', *_section(value, indent + '  ')]
         else:
             lines += [*_comment(described(fields[spec.name]), indent), f'{indent}{spec.name}: {scalar(value)}']

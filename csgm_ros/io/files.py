@@ -76,7 +76,7 @@ def chunks(path: str | Path, rows: int = CHUNK) -> Iterator[CloudFile]:
                 part = cloud_of(found.part(first, last), limit)
             else:
                 cut = [None if each is None else each[first:last] for each in (found.colors, found.normals)]
-                part = CloudFile(found.points[first:last], *cut, found.origin)
+                part = CloudFile(found.points[first:last], cut[0], cut[1], found.origin)
         yield part
 
 
@@ -146,8 +146,8 @@ def write_cloud(
     InputError
         For an unknown ending, a place that cannot be written or a full disk.
     """
-    arrays = [None if part is None else np.asarray(part, float) for part in (points, colors, normals)]
-    write(path, CloudFile(*arrays, origin))
+    others = [None if part is None else np.asarray(part, float) for part in (colors, normals)]
+    write(path, CloudFile(np.asarray(points, float), others[0], others[1], origin))
 
 
 def write(path: str | Path, cloud: CloudFile) -> None:
@@ -199,6 +199,7 @@ def _existing(path: str | Path) -> Path:
 def _module(path: Path):
     """Import the module of a file's format."""
     found = format_of(path.name)
+    assert found is not None, path  # callers have asked before
     try:
         return import_module(f'csgm_ros.io.formats.{found.module}')
     except ModuleNotFoundError as error:

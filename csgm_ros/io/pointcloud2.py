@@ -151,7 +151,7 @@ def decode(message: Any) -> Cloud:
 
 def decode_colors(rows: np.ndarray) -> np.ndarray | None:
     """Return (N, 3) uint8 colours from packed ``rgb`` or separate fields; None without any."""
-    names = rows.dtype.names[3:]
+    names = (rows.dtype.names or ())[3:]
     if not names:
         return None
     colors = np.empty((rows.size, 3), np.uint8)

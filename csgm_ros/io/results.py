@@ -139,8 +139,9 @@ def fused(source: CloudFile, target: CloudFile, transform: Similarity) -> CloudF
     ]
     normals = None
     if target.normals is not None or source.normals is not None:
-        normals = [np.zeros_like(each.points) if each.normals is None else each.normals for each in (target, source)]
-        normals = np.concatenate(normals)
+        normals = np.concatenate(
+            [np.zeros_like(each.points) if each.normals is None else each.normals for each in (target, source)]
+        )
     return CloudFile(np.concatenate([target.points, source.points]), np.concatenate(parts), normals, target.origin)
 
 

@@ -41,7 +41,7 @@ def match_graphs(
     config: MatchingConfig = DEFAULT,
     positions_1: np.ndarray | None = None,
     positions_2: np.ndarray | None = None,
-    is_cancelled: Callable[[], bool] | None = None,
+    is_cancelled: Callable[[], bool | None] | None = None,
 ) -> Matching:
     """Match the nodes of two graphs so that J(X) of Eq. (4) is large.
 
@@ -101,7 +101,7 @@ def _solve(
     edge: np.ndarray,
     smooth: Smooth,
     config: MatchingConfig,
-    is_cancelled: Callable[[], bool],
+    is_cancelled: Callable[[], bool | None],
 ) -> tuple[np.ndarray, int, list[tuple[float, float]]]:
     """Return the permutation of the padded problem, the Frank-Wolfe steps taken, and J along the path."""
     objective = padded_objective(node, edge, edges_1, edges_2)
@@ -127,7 +127,7 @@ def score(
 
 
 def _follow_path(
-    objective: Objective, smooth: Smooth, config: MatchingConfig, is_cancelled: Callable[[], bool]
+    objective: Objective, smooth: Smooth, config: MatchingConfig, is_cancelled: Callable[[], bool | None]
 ) -> tuple[list[np.ndarray], int, list[tuple[float, float]]]:
     """Follow J_alpha from the concave to the convex relaxation (Algorithm 1).
 

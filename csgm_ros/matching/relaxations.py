@@ -97,7 +97,7 @@ def lookup_tables(edges_1: np.ndarray, edges_2: np.ndarray, nodes: int) -> Looku
         table = np.full((nodes, nodes), -1)
         table[edges[:, 0], edges[:, 1]] = np.arange(len(edges))
         tables.append(table)
-    return Lookup(*tables, *neighborhoods(edges_1, nodes))
+    return Lookup(tables[0], tables[1], *neighborhoods(edges_1, nodes))
 
 
 def smooth_term(weight: float, edges_1: np.ndarray, positions_1: np.ndarray, positions_2: np.ndarray) -> Smooth:

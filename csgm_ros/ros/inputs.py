@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -62,7 +63,7 @@ class CloudInput:
         self._group = MutuallyExclusiveCallbackGroup()
         self._lock = threading.Lock()
         self._session: object | None = None
-        self._subscriptions: dict[tuple[ReliabilityPolicy, DurabilityPolicy], object] = {}
+        self._subscriptions: dict[tuple[ReliabilityPolicy, DurabilityPolicy], Any] = {}
         self._stale: set[tuple] = set()
         self._reset()
 
@@ -71,7 +72,8 @@ class CloudInput:
         self._seen: deque[tuple] = deque(maxlen=RECENT)
         self.received = self.rejected = 0
         self.delay = 0.0
-        self.last_error, self.last_received, self._waiting_since = '', None, time.monotonic()
+        self.last_error, self._waiting_since = '', time.monotonic()
+        self.last_received: float | None = None
         self._offered = False
         self.problem = ''
 
@@ -203,7 +205,8 @@ def fault(message: PointCloud2, window: Window) -> str:
 
 def newest(messages: list[PointCloud2], window: Window) -> list[PointCloud2]:
     """Return the newest messages that the window holds, oldest first; at least one."""
-    kept, points = [], 0
+    kept: list[PointCloud2] = []
+    points = 0
     for message in reversed(messages[-window.messages :]):
         points += message.width * message.height
         if kept and points > window.points:

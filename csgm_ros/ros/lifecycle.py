@@ -43,7 +43,7 @@ class SafeLifecycleNode(LifecycleNode):
 
     def _LifecycleNodeMixin__change_state(self, transition_id: int) -> TransitionCallbackReturn:  # noqa: N802
         try:
-            return LifecycleNode._LifecycleNodeMixin__change_state(self, transition_id)
+            return LifecycleNode._LifecycleNodeMixin__change_state(self, transition_id)  # type: ignore[attr-defined]
         except RCLError as error:
             state = self._state_machine.current_state[1]
             self.get_logger().warning(f'transition {transition_id} is not possible while {state}: {error}')

@@ -8,14 +8,13 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.logging import get_logger
-from rclpy.node import Node
 
 from csgm_ros.errors import ConfigError
 from csgm_ros.ros.dds import connection_error, use_large_buffers
@@ -54,7 +53,7 @@ class SteadyExecutor(MultiThreadedExecutor):
 class Parts:
     """What has been made so far, as a signal may come before all of it is there."""
 
-    node: Node | None = None
+    node: Any = None  # of the type that live() is given
     executor: MultiThreadedExecutor | None = None
 
 
@@ -123,7 +122,7 @@ def leave(parts: Parts) -> NoReturn:
     idle = parts.node is not None and parts.node.stop(PATIENCE)
     if parts.executor is not None:
         idle &= parts.executor.shutdown(timeout_sec=PATIENCE)
-    if idle:
+    if idle and parts.node is not None:
         parts.node.destroy_node()
     rclpy.try_shutdown()
     remove_own()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 
 from csgm_ros.ros.qos import LATCHED
 
@@ -17,7 +18,7 @@ class StaticTransform:
 
     def __init__(self, node: Node):
         self._node = node
-        self._publisher = None
+        self._publisher: Publisher | None = None
         self._missing = False
 
     def publish(self, transform: TransformStamped) -> None:

@@ -161,7 +161,7 @@ class Worker:
         for each in (job.error, error):
             if each is not None:  # its frames hold the clouds
                 each.__traceback__ = each.__context__ = each.__cause__ = None
-        job.work = job.deliver = None
+        job.work = job.deliver = None  # type: ignore[assignment]  # asked for no more
         with self._condition:
             self._running = None
         job.done.set()
@@ -170,7 +170,7 @@ class Worker:
     def _next(self) -> Job | None:
         with self._condition:
             self._condition.wait_for(lambda: self._queued is not None or self._stopped)
-            if self._stopped:
+            if self._stopped or self._queued is None:
                 return None
             self._running, self._queued = self._queued, None
             self._running.started = time.monotonic()

@@ -70,7 +70,7 @@ def esf(points: np.ndarray, rng: np.random.Generator, samples: int = 20000) -> n
     Source: Sec. III-C (ESF 640), after Wohlkinger and Vincze 2011 in the form that PCL gave it. PCL does not return
     for points that span no triangle and can read beyond its grid; both are ruled out here.
     """
-    return esf_of_groups(points, [0, len(points)], np.arange(len(points)), rng, samples, threads=1)[0]
+    return esf_of_groups(points, np.array([0, len(points)]), np.arange(len(points)), rng, samples, threads=1)[0]
 
 
 def esf_of_groups(

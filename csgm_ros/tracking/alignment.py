@@ -72,9 +72,9 @@ def align(
     """
     matrix = np.array(start, float)
     normals = NO_NORMALS if normals is None else normals
-    gates = np.array(gates, float)
+    widths = np.array(gates, float)
     information, pivot = np.zeros((6, 6)), np.zeros(3)
-    score, inliers, rms = _align(points, normals, grid, matrix, gates, iterations, min_cosine, information, pivot)
+    score, inliers, rms = _align(points, normals, grid, matrix, widths, iterations, min_cosine, information, pivot)
     return Fit(matrix, score, inliers, rms, information, pivot)
 
 

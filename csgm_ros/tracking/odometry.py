@@ -72,7 +72,7 @@ class Odometry:
         coarse, middle, fine = self.model
         found, scores = align_each(*few, coarse, starts, (coarse.voxel, 0.7 * coarse.voxel), iterations=8)
         found, scores = align_each(*few, middle, found, (middle.voxel,), iterations=8)
-        fit = align(points, normals, fine, found[scores.argmax()], (1.5 * self._voxel, self._voxel))
+        fit = align(points, normals, fine, found[np.argmax(scores)], (1.5 * self._voxel, self._voxel))
         self.quality = fit.inliers
         if fit.inliers < 0.35:
             return False

@@ -58,7 +58,7 @@ def search(query: Query, prepared: PreparedMap, config: Config, seed: int) -> Fo
             return Found(near[0].matrix, 'near where it was expected')
     points = query.submap.levels[0].points * (query.scale if known else 1.0)
     result = register(points, prepared.points, replaced(config, {'scale.estimate_scale': not known}), seed=seed)
-    matrix = result.T_target_source @ scaling(query.scale if known else 1.0, np.zeros(3))
+    matrix = result.T_target_source @ scaling(1.0 if query.scale is None else query.scale, np.zeros(3))
     best = localizer.best(matrix[None], fixed_scale=known)
     if best and (result.accepted or _enough(best[0], query)):
         return Found(best[0].matrix, result.reason if result.accepted else 'as close as where it was tracked')
@@ -69,6 +69,7 @@ def around(query: Query, rng: np.random.Generator) -> np.ndarray:
     """Return (H, 4, 4) poses of the submap that a prior allows, from likely to unlikely."""
     from scipy.spatial.transform import Rotation
 
+    assert query.prior is not None
     sigma, scale = query.prior.sigma, query.scale
     vectors = rng.normal(size=(TURNS, 3)) * np.radians(sigma[1])
     shifts = rng.normal(size=(TURNS, 3)) * sigma[0] * (np.arange(TURNS) % 2)[:, None]

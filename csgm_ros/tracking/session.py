@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import Executor, Future
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from csgm_ros.tracking.alignment import align
 from csgm_ros.tracking.evidence import Evidence, weigh
 from csgm_ros.tracking.frames import Frame
 from csgm_ros.tracking.localization import scale_of
-from csgm_ros.tracking.maps import Level, PreparedMap
+from csgm_ros.tracking.maps import PreparedMap
 from csgm_ros.tracking.odometry import Odometry
 from csgm_ros.tracking.search import Found, Query, expected, search
 from csgm_ros.tracking.views import seen
@@ -65,15 +65,15 @@ class Session:
         self._seed, self._executor = seed, executor
         self._rng = np.random.default_rng(seed)
         self._voxel = 0.0  # of the frames, metres; 0 before the first frame
-        self._odometry: Odometry | None = None
+        self._odometry: Any = None  # Odometry from the first frame of a segment on
         self._segment = 0  # number of the present stretch of odometry without a break
         self._recent: list[tuple[float, Frame, np.ndarray]] = []
         self._stamp = self._heard = self._supported = -np.inf
         self._state, self._reason = LOST, 'no frame yet'
-        self._place: np.ndarray | None = None  # T_map_odometry of this segment
+        self._place: Any = None  # once localized, T_map_odometry of this segment
         self._confirmed = 0
         self._scale, self._scale_information = np.nan, 0.0
-        self._level: Level | None = None
+        self._level: Any = None  # Level of the map, once localized
         self._prior: Prior | None = None
         self._job: Job | None = None
         self._covariance: np.ndarray | None = None
@@ -294,7 +294,7 @@ class Session:
 def _submitted(executor: Executor | None, *inputs) -> Future:
     if executor is not None:
         return executor.submit(search, *inputs)
-    future = Future()
+    future: Future = Future()
     try:
         future.set_result(search(*inputs))
     except Exception as error:

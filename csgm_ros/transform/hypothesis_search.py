@@ -54,8 +54,8 @@ def search(
     min_cosine = cosine(part.max_normal_angle)
     grids = source, target
     orders = [rng.permutation(len(grid.points)) for grid in grids]
-    few = tuple(order[: part.coarse_samples] for order in orders)
-    many = tuple(order[: part.samples] for order in orders)
+    few = orders[0][: part.coarse_samples], orders[1][: part.coarse_samples]
+    many = orders[0][: part.samples], orders[1][: part.samples]
     probe = source.points[few[0]]
     ranking = scoring.scores(hypotheses, *grids, few, part.coarse_truncation, min_cosine)
     kept = hypotheses[scoring.best_distinct(hypotheses, ranking, probe, part.distinct, part.refined)]

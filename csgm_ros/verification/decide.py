@@ -168,8 +168,8 @@ def undetermined(findings: Findings, limits: VerificationConfig, units: Units) -
     low, high = scale_range(findings, limits)
     if low * np.exp(OTHER_SCALE) < 1.0 or high > np.exp(OTHER_SCALE):
         return None if open_ else Undetermined('scale', np.zeros(3), low * units.scale, high * units.scale)
-    motions = [rival.motion for rival in open_]
-    if not motions or any(motion is None or motion.kind != motions[0].kind for motion in motions):
+    motions = [rival.motion for rival in open_ if rival.motion is not None]
+    if not motions or len(motions) < len(open_) or any(motion.kind != motions[0].kind for motion in motions):
         return None
     axis = motions[0].axis
     if any(abs(motion.axis @ axis) < SAME_AXIS for motion in motions):

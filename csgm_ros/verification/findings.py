@@ -161,7 +161,7 @@ def half_shift(
             lengths = _lengths(SAME_DISTANCES, cell)
             grids = _grids(comparison, 'grid')
             ends.append(refine(winner[None], grids, samples, lengths, estimate_scale=estimate_scale)[0])
-        shifts.append(_displacement(*ends, own) / cell)
+        shifts.append(_displacement(ends[0], ends[1], own) / cell)
     return float(np.median(shifts))
 
 
@@ -174,7 +174,7 @@ def _rival(comparison: Comparison, winner: np.ndarray, agreement: Agreement, oth
 
 def motion(winner: np.ndarray, other: np.ndarray, points: np.ndarray) -> Motion | None:
     """Return how to get from one (4, 4) transform of (P, 3) points to another; None where the scale changes too."""
-    factor = np.sqrt((other[:3, 0] ** 2).sum() / (winner[:3, 0] ** 2).sum())
+    factor = np.sqrt(np.divide((other[:3, 0] ** 2).sum(), (winner[:3, 0] ** 2).sum()))
     if abs(np.log(factor)) > SAME_SCALE:
         return None
     turn = other[:3, :3] @ np.linalg.inv(winner[:3, :3]) / factor

@@ -52,7 +52,8 @@ class View:
         *,
         smoothed: bool = False,
     ):
-        self.pair, self.measured = pair, []
+        self.pair = pair
+        self.measured: list[Evidence] = []
         self._config, self._rng, self._refine = config, rng, refine
         self._viewpoints, self._smoothed = viewpoints, smoothed
         self._comparisons: dict[int, Comparison] = {}
@@ -61,7 +62,8 @@ class View:
     def surfaces(self) -> tuple[Surface, Surface]:
         """Source and target, finely sampled."""
         sides = zip(self.pair.clouds, self.pair.normalizations, strict=True)
-        return tuple(surface(cloud, unit, self._config, self._rng) for cloud, unit in sides)
+        source, target = (surface(cloud, unit, self._config, self._rng) for cloud, unit in sides)
+        return source, target
 
     @cached_property
     def max_angle(self) -> float:
@@ -109,18 +111,20 @@ class View:
             cell = min(sizes[0] * used, sizes[1])
             reach = 2.0 * min(_robust_radius(source), _robust_radius(target))
             neighbors, rng = self._config.preprocess.normal_neighbors, np.random.default_rng(0)
-            seen = (witnesses(points, cell, reach, rng, neighbors) for points in (source, target))
-            self._comparisons[step] = Comparison(*seen, cell)
+            first, second = (witnesses(points, cell, reach, rng, neighbors) for points in (source, target))
+            self._comparisons[step] = Comparison(first, second, cell)
         return self._comparisons[step], used
 
     @cached_property
     def _normalized(self) -> tuple[np.ndarray, np.ndarray]:
         sides = zip(self.pair.clouds, self.pair.normalizations, strict=True)
-        return tuple(unit.apply(cloud) for cloud, unit in sides)
+        source, target = (unit.apply(cloud) for cloud, unit in sides)
+        return source, target
 
     @cached_property
     def _cells(self) -> tuple[float, float]:
-        return tuple(map(working_cell, self._normalized))
+        source, target = map(working_cell, self._normalized)
+        return source, target
 
     def _seen_through(self, transform: Similarity) -> float:
         """Return the larger share of either cloud that the other's sensor, where its place is known, looked through."""

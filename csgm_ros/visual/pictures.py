@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -62,7 +63,8 @@ def before_after(path: str | Path, source: CloudFile, target: CloudFile, transfo
     figure.text(0.5, 0.015, caption, ha='center', fontsize=12, color='#333333', family='monospace')
     figure.subplots_adjust(left=0.01, right=0.99, top=0.95, bottom=0.05, wspace=0.02, hspace=0.08)
     figure.canvas.draw()
-    pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
+    canvas: Any = figure.canvas  # of Agg
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3]
     pyplot.close(figure)
     with replacing(path) as file:
         Image.fromarray(pixels).quantize(256, dither=Image.Dither.NONE).save(file, 'png', optimize=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -164,8 +165,10 @@ def _apart(data: ReportData, transform: Similarity) -> str:
 
 
 def _segmentations(data: ReportData, shown: tuple[Shown, Shown]) -> str:
+    assert data.segmentations is not None
     figures = []
     for name, cloud, segmentation in zip(('source', 'target'), shown, data.segmentations, strict=True):
+        assert cloud.labels is not None
         few = slice(0, DRAWN)
         colors = np.where(
             (cloud.labels[few] < 0)[:, None], 0.8, palette(COLORS)[np.maximum(cloud.labels[few], 0) % COLORS]
@@ -178,6 +181,9 @@ def _segmentations(data: ReportData, shown: tuple[Shown, Shown]) -> str:
 
 
 def _matching(data: ReportData) -> str:
+    assert data.node_affinity is not None
+    assert data.edge_affinity is not None
+    assert data.assignment is not None
     pictures = [
         _figure(charts.matrix(data.node_affinity), 'K_p: how alike the nodes are (source down, target across)'),
         _figure(charts.matrix(data.edge_affinity), 'K_q: how alike the edges are'),
@@ -209,7 +215,7 @@ def _run(data: ReportData) -> str:
     return _section('run', 'The run', body)
 
 
-def _table(rows: list[tuple[str, ...]], head: tuple[str, ...] = ()) -> str:
+def _table(rows: Sequence[tuple[str, ...]], head: tuple[str, ...] = ()) -> str:
     lines = [''.join(f'<td>{cell}</td>' for cell in row) for row in rows]
     top = [''.join(f'<th>{cell}</th>' for cell in head)] if head else []
     return f'<table>{"".join(f"<tr>{line}</tr>" for line in top + lines)}</table>'

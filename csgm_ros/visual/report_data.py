@@ -99,7 +99,10 @@ class ReportData:
 def report_data(result: RegistrationResult, source: CloudFile, target: CloudFile, names: tuple[str, str]) -> ReportData:
     """Return what a report shows of a result that was made with ``details=True``."""
     details, config = result.details, result.config
-    sides = (
+    assert details is not None
+    assert result.source_graph is not None
+    assert result.target_graph is not None
+    first, second = (
         Segmentation(side.surface.normalization.inverse().apply(side.surface.points), side.labels)
         for side in details.structures
     )
@@ -114,7 +117,7 @@ def report_data(result: RegistrationResult, source: CloudFile, target: CloudFile
         terms=result.verdict.terms,
         inlier_distance=details.inlier_distance,
         match_distance=details.match_distance,
-        segmentations=tuple(sides),
+        segmentations=(first, second),
         graphs=(result.source_graph, result.target_graph),
         matches=result.matches,
         match_inliers=result.match_inliers,

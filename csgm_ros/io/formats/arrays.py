@@ -66,8 +66,8 @@ def _archive(path: Path) -> CloudFile:
         points = _member(archive, members[(named or plain)[0]]).reshape(-1, 3).astype(float)
         others = []
         for names in (COLORS, NORMALS):
-            name = next((name for name in names if name in fitting and np.prod(found[name][1]) == points.size), None)
-            others.append(None if name is None else _member(archive, members[name]).reshape(-1, 3))
+            fit = next((name for name in names if name in fitting and np.prod(found[name][1]) == points.size), None)
+            others.append(None if fit is None else _member(archive, members[fit]).reshape(-1, 3))
     colors, normals = others
     if colors is not None:
         limit = 255.0 if colors.dtype.itemsize == 1 else full_brightness(colors, floats=colors.dtype.kind == 'f')
@@ -118,4 +118,5 @@ def write(file: BinaryIO, cloud: CloudFile, ending: str) -> None:
         np.save(file, cloud.points)
         return
     parts = {'points': cloud.points, 'colors': cloud.colors, 'normals': cloud.normals}
-    np.savez_compressed(file, **{name: part for name, part in parts.items() if part is not None})
+    given = {name: part for name, part in parts.items() if part is not None}
+    np.savez_compressed(file, **given)  # type: ignore[arg-type]  # the stub takes any name for allow_pickle

@@ -11,7 +11,7 @@ import struct
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -66,12 +66,12 @@ def read(path: Path) -> CloudFile:
         file.seek(declared.start)
         packed = declared.laszip is not None
         data = _unpacked(path, declared) if packed else file.read(declared.rows * declared.row_bytes)
-    fields = {'names': ['xyz'], 'formats': ['(3,)<i4'], 'offsets': [0], 'itemsize': declared.row_bytes}
+    fields: Any = {'names': ['xyz'], 'formats': ['(3,)<i4'], 'offsets': [0], 'itemsize': declared.row_bytes}
     if declared.kind in COLOR_PLACE:
         fields['names'] += ['rgb']
         fields['formats'] += ['(3,)<u2']
         fields['offsets'] += [COLOR_PLACE[declared.kind]]
-    rows = np.frombuffer(data, np.dtype(fields), declared.rows)
+    rows: Any = np.frombuffer(data, np.dtype(fields), declared.rows)
     colors = None
     if declared.kind in COLOR_PLACE and rows['rgb'].any():
         colors = rows['rgb'] / full_brightness(rows['rgb'], floats=False)
@@ -84,11 +84,12 @@ def coordinates(path: Path) -> Table | CloudFile:
         declared = header(file, os.fstat(file.fileno()).st_size)
     if declared.laszip is not None:
         return read(path)
-    fields = {'names': ['xyz'], 'formats': ['(3,)<i4'], 'offsets': [0], 'itemsize': declared.row_bytes}
+    fields: Any = {'names': ['xyz'], 'formats': ['(3,)<i4'], 'offsets': [0], 'itemsize': declared.row_bytes}
 
     def part(first: int, last: int) -> dict[str, np.ndarray]:
         start = declared.start + first * declared.row_bytes
-        rows = np.fromfile(path, np.dtype(fields), last - first, offset=start)['xyz']
+        packed: Any = np.fromfile(path, np.dtype(fields), last - first, offset=start)
+        rows = packed['xyz']
         if len(rows) != last - first:  # the file may have been cut since
             raise InputError('ends early; copy or write it again')
         return dict(zip('xyz', (rows * declared.scales + declared.origin).T, strict=True))

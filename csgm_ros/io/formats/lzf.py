@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from csgm_ros.cloud.kernels import kernel
@@ -17,7 +19,7 @@ def inflate(packed: np.ndarray, data: np.ndarray) -> int:
     """
     read, written = 0, 0
     while read < packed.size:
-        control = np.int64(packed[read])
+        control: Any = np.int64(packed[read])
         read += 1
         if control < 32:  # that many bytes and one as they are
             count = control + 1

@@ -6,6 +6,7 @@ import re
 from contextlib import redirect_stderr
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -55,7 +56,7 @@ def _trimesh(path: Path, kind: str) -> CloudFile:
 
     with redirect_stderr(StringIO()):
         loaded = trimesh.load(path, file_type=kind[1:], process=False, skip_materials=kind == '.obj')
-        parts = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
+        parts: list[Any] = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
     meshes = [part for part in parts if isinstance(part, trimesh.Trimesh) and len(part.faces)]
     if meshes:
         firsts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
@@ -65,10 +66,10 @@ def _trimesh(path: Path, kind: str) -> CloudFile:
             np.concatenate([_within(mesh) + first for mesh, first in zip(meshes, firsts, strict=False)]),
             None if any(each is None for each in colors) else np.concatenate(colors),
         )
-    parts = [_checked(part.vertices) for part in parts if len(getattr(part, 'vertices', ()))]
-    if not parts:
+    bare: list[np.ndarray] = [_checked(part.vertices) for part in parts if len(getattr(part, 'vertices', ()))]
+    if not bare:
         raise InputError('holds neither faces nor points')
-    return CloudFile(np.concatenate(parts))
+    return CloudFile(np.concatenate(bare))
 
 
 def _checked(vertices: np.ndarray) -> np.ndarray:

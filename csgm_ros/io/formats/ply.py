@@ -88,7 +88,8 @@ def header(file: BinaryIO) -> tuple[str, list[Element], int]:
     if beginning[:3] != b'ply' or beginning[3:4] not in (b'\r', b'\n'):
         raise InputError('does not begin as a PLY file does; write it again')
     line_end = b'\r' if beginning[3:4] == b'\r' and beginning[4:5] != b'\n' else b'\n'
-    order, elements, start = None, [], 4
+    elements: list[Element] = []
+    order, start = None, 4
     while True:
         end = beginning.find(line_end, start)
         if end < 0:
@@ -238,7 +239,8 @@ def _length(value: float) -> int:
 
 def _walked(body: bytes, elements: list[Element], index: int, order: str) -> Table:
     """Read binary rows one by one, as lists give each a length of its own."""
-    place, rows = 0, []
+    rows: list = []
+    place = 0
     for element in elements[: index + 1]:
         if element.fixed and element is not elements[index]:
             place += element.rows * element.least

@@ -180,7 +180,8 @@ class Client:
 
     def status(self) -> Status:
         """Return state and diagnostics, as the node says them once a second."""
-        state, heard = self.state(), []
+        heard: list = []
+        state = self.state()
         prefix = self.node_name[1:].replace('/', '.') + ': '
 
         def receive(message: DiagnosticArray) -> None:

@@ -71,7 +71,7 @@ class Player:
             raise InputError(f'rate must be above 0, not {rate}')
         self._node, self._bag, self._rate, self._remap = node, bag, rate, dict(remap or {})
         self._clock = node.create_publisher(Clock, '/clock', 10) if clock else None
-        self._publishers = {}
+        self._publishers: dict = {}
         self._awaited: set[int] = set()
         self._stopped = threading.Event()
         self.counts: dict[str, int] = {}

@@ -46,7 +46,8 @@ def fetch(node: str = NODE, timeout: float = PATIENCE) -> Published:
     NoAnswerError
         When there is none within ``timeout`` seconds.
     """
-    context, heard = rclpy.Context(), {}
+    heard: dict = {}
+    context = rclpy.Context()
     rclpy.init(context=context)
     listener = rclpy.create_node('csgm_listener', context=context, start_parameter_services=False)
     executor = SingleThreadedExecutor(context=context)
