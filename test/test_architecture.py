@@ -147,3 +147,8 @@ def test_every_import_is_declared():
     for folder, names in OPTIONAL.items():
         needed |= third_party([path for path in MODULES if path.parent.name == folder]) - names
     assert not {name for name in needed if keys.get(name, name) not in declared}
+
+
+def test_no_two_test_files_have_one_name():
+    names = sorted(path.name for path in (ROOT / 'test').rglob('test_*.py'))
+    assert names == sorted(set(names)), 'pytest imports them all by their bare names'
