@@ -14,13 +14,15 @@ PACKAGE = Path(__file__).parents[1]
 MARK = b'@kernel'
 
 
-def kernel(function: Callable | None = None, *, inline: bool = False) -> Callable:
+def kernel(function: Callable | None = None, *, inline: bool = False, fastmath: bool = False) -> Callable:
     """Compile a function on first use, without Python's lock, and keep the result on disk.
 
     Parameters
     ----------
     inline : bool, optional
         Copy the code into every caller before it is compiled.
+    fastmath : bool, optional
+        Let sums be reordered, so that they become vector code; still the same bits on one machine.
 
     Notes
     -----
@@ -28,8 +30,8 @@ def kernel(function: Callable | None = None, *, inline: bool = False) -> Callabl
     that it calls from another file. Here every kernel is renewed when the source of any of them changes.
     """
     if function is None:
-        return functools.partial(kernel, inline=inline)
-    compiled = numba.njit(cache=True, nogil=True, inline='always' if inline else 'never')(function)
+        return functools.partial(kernel, inline=inline, fastmath=fastmath)
+    compiled = numba.njit(cache=True, nogil=True, fastmath=fastmath, inline='always' if inline else 'never')(function)
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]  # set on import, which the stub does not know
         return compiled
     compiled._cache._cache_file._source_stamp = sources_digest()  # type: ignore[attr-defined]  # numba's own

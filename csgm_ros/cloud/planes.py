@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
+
+from csgm_ros.cloud.kernels import kernel
 
 MOST = 4
 CANDIDATES = 200
@@ -83,7 +84,7 @@ def _fitted(points: np.ndarray, normals: np.ndarray, on: np.ndarray, size: float
     return Plane(normal if above >= below else -normal, mean)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _on_planes(points, normals, chosen, tolerance):
     on = np.zeros((len(chosen), len(points)), np.bool_)
     for c in range(len(chosen)):

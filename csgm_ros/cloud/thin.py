@@ -11,8 +11,8 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numba import njit
 
+from csgm_ros.cloud.kernels import kernel
 from csgm_ros.errors import DegenerateCloudError, InputError
 
 PART = 1_000_000  # rows: the first part sets the lattice, so files and arrays are cut alike
@@ -136,7 +136,7 @@ def _first_edge(points: np.ndarray) -> float:
     return float(2.0 ** np.floor(np.log2(extent / FIRST)))
 
 
-@njit(cache=True, nogil=True, inline='always')
+@kernel(inline=True)
 def _home(table, x, y, z):
     """Return where a voxel would like to be."""
     mixed = (x * np.int64(73856093)) ^ (y * np.int64(19349669)) ^ (z * np.int64(83492791))
@@ -144,7 +144,7 @@ def _home(table, x, y, z):
     return (mixed * np.int64(-7046029254386353131)) >> 32 & (len(table) - 1)
 
 
-@njit(cache=True, nogil=True, inline='always')
+@kernel(inline=True)
 def _slot(table, home, x, y, z):
     """Return where a voxel is, or belongs."""
     slot = home
@@ -153,7 +153,7 @@ def _slot(table, home, x, y, z):
     return slot
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _absorb(points, first, scale, level, table, used, most):
     """Add points until there are too many voxels; return the next point, the voxels, and whether it lies too far.
 
@@ -195,7 +195,7 @@ def _absorb(points, first, scale, level, table, used, most):
     return len(points), used, False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _collect(rows, table, shift, bits, used):
     """Add voxels to a table, ``shift`` levels coarser, a voxel's edge being 2**bits; return how many it then has."""
     for i in range(len(rows)):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from csgm_ros.cloud.kernels import kernel
 from csgm_ros.tracking.surface import Surface, nearest
 
 MIN_CORRESPONDENCES = 12
@@ -96,14 +96,14 @@ def align_each(
     return refined, scores
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _align_each(points, normals, grid, matrices, gates, iterations, min_cosine, scores):
     information, pivot = np.zeros((6, 6)), np.zeros(3)
     for k in range(len(matrices)):
         scores[k] = _align(points, normals, grid, matrices[k], gates, iterations, min_cosine, information, pivot)[0]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _align(points, normals, grid, matrix, gates, iterations, min_cosine, information, pivot):
     gradient = np.zeros(6)
     for gate in gates:
@@ -121,7 +121,7 @@ def _align(points, normals, grid, matrix, gates, iterations, min_cosine, informa
     return close / n, count / n, np.sqrt(squares / max(weights, 1e-12))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _pivot(points, m, pivot):
     mean = np.zeros(3)
     for p in range(len(points)):
@@ -132,7 +132,7 @@ def _pivot(points, m, pivot):
         pivot[k] = m[k, 0] * mean[0] + m[k, 1] * mean[1] + m[k, 2] * mean[2] + m[k, 3]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _sums(points, normals, grid, m, gate, min_cosine, pivot, information, gradient):
     """Fill J'wJ and J'we; return correspondences, summed closeness, weighted squares and weights."""
     information[:] = 0.0
@@ -182,7 +182,7 @@ def _sums(points, normals, grid, m, gate, min_cosine, pivot, information, gradie
     return count, close, squares, weights
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _step(matrix, information, gradient, pivot):
     """Do one damped Gauss-Newton step in place; return about how far it moved the points."""
     damped = information.copy()
@@ -197,7 +197,7 @@ def _step(matrix, information, gradient, pivot):
     return np.sqrt((step[:3] ** 2).sum()) * arm + np.sqrt((step[3:] ** 2).sum())
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def move(matrix, step, pivot):
     """Turn a (4, 4) matrix in place by a rotation vector about ``pivot``, then shift it: ``step`` is (6,)."""
     angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from csgm_ros.cloud.kernels import kernel
 from csgm_ros.tracking.surface import Surface, nearest
 from csgm_ros.tracking.views import View, seen
 
@@ -81,7 +81,7 @@ def weigh(
     return Evidence(float(out[0]), float(out[1]), agreement, int(known.sum()))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _meet(points, normals, surface, m, min_cosine, out):
     scale = np.sqrt(m[0, 0] ** 2 + m[1, 0] ** 2 + m[2, 0] ** 2)
     close, near = 0.0, 0

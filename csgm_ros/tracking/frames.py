@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from csgm_ros.cloud.kernels import kernel
 from csgm_ros.cloud.normals import plane_normals
 from csgm_ros.cloud.voxels import voxelize
 from csgm_ros.tracking import views
@@ -48,7 +48,7 @@ def resolution(points: np.ndarray, share: float) -> float:
     return share * float(np.median(np.linalg.norm(points, axis=1)))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def returns(points):
     """Return the rows of (N, 3) points that are finite and not all zero, which some drivers send for no return."""
     kept = np.empty((len(points), 3))

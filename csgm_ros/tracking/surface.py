@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from csgm_ros.cloud.kernels import kernel
 from csgm_ros.cloud.voxels import BITS, lattice_origin, occupied
 
 LIMIT = (1 << BITS) - 1
@@ -53,7 +53,7 @@ def build(points: np.ndarray, normals: np.ndarray, voxel: float, *, oriented: bo
     return Surface(means, sums, keys, table, origin, voxel)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _averaged(points, normals, owner, count, oriented):
     means, sums, counts = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
     for p in range(len(points)):
@@ -73,12 +73,12 @@ def _averaged(points, normals, owner, count, oriented):
     return means, sums
 
 
-@numba.njit(cache=True, nogil=True, inline='always')
+@kernel(inline=True)
 def _home(key, mask):
     return (key * np.int64(-7046029254386353131)) >> 32 & mask  # Fibonacci hashing
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _index(keys, table):
     mask = len(table) - 1
     for k in range(len(keys)):
@@ -88,7 +88,7 @@ def _index(keys, table):
         table[slot] = k
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def nearest(surface, x, y, z):
     """Return the index of the surface's point nearest to (x, y, z) in the 8 voxels around it, -1 for none.
 

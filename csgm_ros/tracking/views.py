@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
+
+from csgm_ros.cloud.kernels import kernel
 
 STEP = np.radians(1.25)  # between two rays of the image
 COLUMNS, ROWS = round(2 * np.pi / STEP), round(np.pi / STEP)
@@ -61,14 +62,14 @@ def seen(points: np.ndarray, transform: np.ndarray, view: View, tolerance: float
     return told
 
 
-@numba.njit(cache=True, nogil=True, inline='always')
+@kernel(inline=True)
 def _cell(x, y, z, distance):
     column = int((np.arctan2(x, z) + np.pi) / STEP)
     row = int((np.arcsin(min(max(y / distance, -1.0), 1.0)) + np.pi / 2) / STEP)
     return min(row, ROWS - 1), column % COLUMNS
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _look(points, nearest, farthest):
     for p in range(len(points)):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
@@ -79,7 +80,7 @@ def _look(points, nearest, farthest):
             farthest[row, column] = max(farthest[row, column], distance)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _seen(points, m, nearest, farthest, tolerance, told):
     for p in range(len(points)):
         a, b, c = points[p, 0], points[p, 1], points[p, 2]

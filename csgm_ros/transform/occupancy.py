@@ -7,8 +7,9 @@ nothing, what stands alone counts much. A cell that the other cloud did not see 
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from csgm_ros.cloud.kernels import kernel
 
 ALPHA = 0.7  # chance that what one sensor has seen, the other one has seen too, in the right place
 UNSEEN = 0.1  # what a cell costs where the other cloud saw nothing
@@ -17,7 +18,7 @@ RARE = 0.004  # least share of the seen cells that a layer has occupied
 SIDE, CORNER = 0.65, 0.45  # how much of an occupied cell is in its neighbours
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def raster(points, into, edges, occupied, soft, seen):
     """Mark the cells of (n, 3) points, which the (3, 4) matrix ``into`` brings into cells, in three zeroed grids.
 
@@ -62,7 +63,7 @@ def raster(points, into, edges, occupied, soft, seen):
     return columns, total
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def ratios(columns, total):
     """Return the log ratio of a cell (L, 4): where the other cloud has it empty, in a corner, on a side, occupied."""
     out = np.empty((len(total), 4))
@@ -75,13 +76,13 @@ def ratios(columns, total):
     return out
 
 
-@numba.njit(cache=True, nogil=True, inline='always')
+@kernel(inline=True)
 def grade(soft):
     """Return the column of :func:`ratios` for a value of ``soft``."""
     return 0 if soft == 0 else 1 if soft < 0.6 else 2 if soft < 0.9 else 3
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def fields(points, into, edges, out):
     """Write occupancy (L, N, N) and log ratio (L, N, N) of points, see :func:`raster`, into (2, L, N, N) float32."""
     _, layers, side, _ = out.shape
@@ -97,7 +98,7 @@ def fields(points, into, edges, out):
                 out[1, layer, i, j] = table[layer, grade(soft[layer, i, j])] if seen[i, j] else -UNSEEN
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def evidence(source, target, source_into, target_into, edges, side):
     """Return the log ratio, summed over both, of two clouds that (3, 4) matrices bring into cells above one plane."""
     layers = len(edges) - 1

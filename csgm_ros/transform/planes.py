@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from csgm_ros.cloud.cells import Cells
+from csgm_ros.cloud.kernels import kernel
 from csgm_ros.cloud.planes import Plane, frame
 from csgm_ros.cloud.voxels import voxel_means
 from csgm_ros.config import HypothesesConfig
@@ -152,7 +152,7 @@ class Correlator:
         return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _multiply(source, target, out):
     """Write the sum over the layers of (L, n, m) source times target spectra."""
     layers, rows, columns = source.shape
@@ -164,7 +164,7 @@ def _multiply(source, target, out):
                 out[i, j] += source[layer, i, j] * target[layer, i, j]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _peaks(maps, count):
     """Return the ``count`` highest values (Y, count) of every (n, n) map, not beside each other, and their places."""
     yaws, side, _ = maps.shape
