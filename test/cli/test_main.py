@@ -21,6 +21,8 @@ from csgm_ros.types import Similarity
 KEYS = {
     *('T_target_source', 'scale', 'accepted', 'reason', 'fitness_source', 'fitness_target', 'inlier_rmse', 'margin'),
     *('seconds', 'timings', 'seed', 'config'),
+    'confidence',
+    'undetermined',
 }
 COMMAND = [sys.executable, '-m', 'csgm_ros.cli.main']
 
