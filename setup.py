@@ -80,7 +80,6 @@ setup(
             'ruff',
             'mypy',
             'numpydoc',
-            'types-PyYAML',
             'colcon-common-extensions',
             'setuptools<80',
             *INTERFACE_BUILD,
