@@ -1,9 +1,9 @@
-"""What is tried, in which order, and what an attempt has to reach: the retry schedule as data."""
+"""The retry schedule: what is tried, in which order, until something is accepted."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 from csgm_ros.cloud.surface_variation import even, surface_variation
 from csgm_ros.config import Config
@@ -49,19 +49,6 @@ def _surface_variation(pair: NormalizedPair) -> float:
     return max(surface_variation(even(cloud, 1.0 / unit.scale)) for cloud, unit in sides)
 
 
-def unanimous(results: list[RegistrationResult], different: float) -> RegistrationResult:
-    """Return the best result; rejected, where another attempt accepted a different transform.
-
-    Parameters
-    ----------
-    different : float
-        RMS displacement, target units, from which two transforms contradict each other.
-    """
-    best = max(results, key=lambda result: (result.accepted, result.verdict.margin))
-    assert best.source_graph is not None  # as every attempt has
-    nodes = best.source_graph.nodes
-    for other in results:
-        if other.accepted and best.transform.displacement(other.transform, nodes) > different:
-            reason = 'ambiguous: the clouds as they are and the smoothed ones fit in different places'
-            return replace(best, verdict=replace(best.verdict, accepted=False, reason=reason))
-    return best
+def best_of(results: Iterable[RegistrationResult]) -> RegistrationResult:
+    """Return the accepted result, else the one with the widest margin."""
+    return max(results, key=lambda result: (result.accepted, result.verdict.margin))

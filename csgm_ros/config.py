@@ -244,7 +244,11 @@ class VerificationConfig(Checked):
         1.5, 'nor by more than this', unit='median angle across a neighbourhood', low=0.1, high=1000.0
     )
     different: float = param(
-        0.2, 'RMS displacement from which another hypothesis makes a result ambiguous', unit=RADIUS, low=0.01, high=10.0
+        0.2,
+        'RMS displacement from which two hypotheses are shown as different ones',
+        unit=RADIUS,
+        low=0.01,
+        high=10.0,
     )
     min_planes: float = param(
         4.0, 'independent surfaces that agree, below which a result is rejected', low=0.0, high=1000.0
@@ -257,7 +261,7 @@ class VerificationConfig(Checked):
     )
     max_scale_ratio: float = param(
         0.85,
-        'score at a scale 12 % larger or smaller, relative to that at its own, above which a result is rejected',
+        'score at a scale 10 % or more off, relative to that at its own, above which a result is rejected',
         low=0.0,
         high=10.0,
     )

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from csgm_ros.attempts import Attempt, schedule, unanimous
+from csgm_ros.attempts import Attempt, best_of, schedule
 from csgm_ros.cloud.prepare import finite_points, viewpoint
 from csgm_ros.cloud.smoothing import smoothed
 from csgm_ros.config import Config, profile, replaced
@@ -55,7 +55,8 @@ LEAST_EFFORT = {
     'verification.fine_voxel_size': 0.1,
     'icp.iterations': 0,  # no kernel of ours
     'verification.min_margin': 100.0,  # so that every source is asked
-    'time_budget': 1e-3,  # and no second attempt made
+    'preprocess.max_surface_variation': 1.0,  # and no second attempt made
+    'scale.estimate_scale': False,
 }
 
 
@@ -126,8 +127,7 @@ def register(
         if result.accepted or clock.expired:
             break
     clock.finish()
-    result = unanimous(list(results.values()), config.verification.different / pair.normalizations[1].scale)
-    return dataclasses.replace(result, timings=clock.timings, seed=seed)
+    return dataclasses.replace(best_of(results.values()), timings=clock.timings, seed=seed)
 
 
 def _attempt(
@@ -282,7 +282,7 @@ def _best(structures: StructurePair, view: View, config: Config) -> Evidence:
     Once the clouds have been looked at in lengths of their structure, these say which is best: shares of the clouds and
     lengths relative to their radii cannot, where one is much larger.
     """
-    ladder, scaled = structures.ladder, config.scale.estimate_scale
+    ladder, scaled = structures.ladder, config.scale.estimate_scale and config.icp.estimate_scale
     if ladder.finalists is None:
         best = max(view.measured, key=lambda evidence: evidence.score)
     else:
@@ -292,12 +292,17 @@ def _best(structures: StructurePair, view: View, config: Config) -> Evidence:
     if refined.score <= best.score:
         return best
     if ladder.finalists is not None and not ladder.alike(best.transform.matrix, refined.transform.matrix):
-        return best  # the gates are too wide for what the clouds show
+        return best  # the correspondence distances are too wide for what the clouds show
     return refined
 
 
 def _candidates(
-    sources: tuple[str, ...], structures: StructurePair, view: View, config: Config, rng: np.random.Generator, clock
+    sources: tuple[str, ...],
+    structures: StructurePair,
+    view: View,
+    config: Config,
+    rng: np.random.Generator,
+    clock: Clock,
 ) -> Iterator[None]:
     """Propose, search, refine and measure; yield after the hypotheses of each source."""
     grids: tuple[NearestGrid, NearestGrid] | None = None
@@ -356,8 +361,9 @@ def _updated(earlier: RegistrationResult | None, result: RegistrationResult) -> 
 
 
 def warm_up() -> None:
-    """Compile every kernel, or load it from the disk, by registering a tiny cloud with itself at the least effort."""
-    rng = np.random.default_rng(0)
-    points = rng.normal(size=(800, 3))
-    points *= np.array((3.0, 2.0, 1.0)) / np.linalg.norm(points, axis=1, keepdims=True)
-    register(points, points, replaced(profile(), LEAST_EFFORT))
+    """Compile every kernel, or load it from the disk, by registering a small corner with itself at the least effort."""
+    faces = np.random.default_rng(0).uniform(0.0, 1.0, (3, 1500, 3))
+    for axis in range(3):
+        faces[axis, :, axis] = 0.0
+    corner = faces.reshape(-1, 3) * np.array((3.0, 2.0, 1.0))
+    register(corner, corner, replaced(profile(), LEAST_EFFORT))

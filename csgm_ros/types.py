@@ -275,8 +275,6 @@ class Surface:
     bend : float
         Median angle in degrees between the normals across the neighbourhoods that these were estimated from:
         curvature, and noise.
-    roughness : (S,) ndarray
-        Angle in degrees between the normals of every measured point and its nearest neighbour: noise.
     """
 
     points: np.ndarray
@@ -286,7 +284,6 @@ class Surface:
     sample: np.ndarray
     gap: float
     bend: float
-    roughness: np.ndarray
 
     @property
     def probe(self) -> np.ndarray:

@@ -13,7 +13,7 @@ PACKAGE = ROOT / 'csgm_ros'
 MODULES = sorted(PACKAGE.rglob('*.py'))
 NOUNS = {'types', 'config', 'schema', 'errors', 'progress'}
 EVERYWHERE = NOUNS | {'cloud'}
-# What each room may import beside the nouns, `cloud` and itself; `None`: whatever stands below it.
+# What each room may import beside the nouns, `cloud` and itself.
 ROOMS = {
     **dict.fromkeys(('cloud', 'structure', 'graph', 'matching', 'transform', 'verification'), frozenset()),
     'io': set(),
@@ -74,9 +74,7 @@ def room(path):
 def test_every_folder_and_every_file_at_the_root_has_its_place():
     folders = {path.name for path in PACKAGE.iterdir() if path.is_dir() and path.name != '__pycache__'}
     assert folders <= set(ROOMS), 'say in ROOMS what the new folder may import'
-    assert {path.stem for path in PACKAGE.glob('*.py')} == set(FILES) - {'attempts'} | (
-        {'attempts'} & {path.stem for path in PACKAGE.glob('*.py')}
-    )
+    assert {path.stem for path in PACKAGE.glob('*.py')} == set(FILES)
 
 
 @pytest.mark.parametrize('path', MODULES, ids=ids)

@@ -12,7 +12,7 @@ import pytest
 from scenes import ball, box, cylinder, error, radius, random_rotation, random_similarity, rectangle, room
 
 from csgm_ros import profile, register
-from csgm_ros.attempts import unanimous
+from csgm_ros.attempts import best_of
 from csgm_ros.config import replaced
 from csgm_ros.errors import Cancelled, DegenerateCloudError, InputError
 from csgm_ros.progress import STAGES
@@ -93,16 +93,14 @@ def test_other_lengths_are_tried_while_nothing_is_accepted():
     assert error(doubted.transform, certain.transform, SOURCE) < RIGHT
 
 
-def test_attempts_that_accept_different_transforms_reject_each_other():
+def test_the_accepted_result_is_the_best_then_the_widest_margin():
     one = registered()
-    shifted = dataclasses.replace(one.transform, translation=one.transform.translation + 0.3)
-    other = dataclasses.replace(one, verdict=dataclasses.replace(one.verdict, margin=1.6), transform=shifted)
-    rejected = dataclasses.replace(other, verdict=dataclasses.replace(other.verdict, accepted=False))
-    assert unanimous([rejected, one], 0.2) is one
-    assert unanimous([other, one], 1.0) is one
-    torn = unanimous([other, one], 0.2)
-    assert not torn.accepted
-    assert 'different places' in torn.reason
+    rejected, wide = (
+        dataclasses.replace(one, verdict=dataclasses.replace(one.verdict, accepted=False, margin=margin))
+        for margin in (2.0, 9.0)
+    )
+    assert best_of([wide, one, rejected]) is one
+    assert best_of([rejected, wide]) is wide
 
 
 def test_the_result_tells_what_it_found():
@@ -402,3 +400,29 @@ def test_one_outlier_point_is_survived_or_rejected_or_refused(outlier):
 def test_a_few_outliers_nearby_do_not_matter():
     outliers = np.random.default_rng(0).normal(scale=4.0, size=(30, 3))
     assert_right(register(np.concatenate([SOURCE, outliers]), TARGET), Similarity.identity(), SOURCE)
+
+
+def test_warming_up_compiles_all_that_a_registration_needs():
+    code = """
+import gc
+from numba.core.dispatcher import Dispatcher
+from test_registration import SOURCE, TARGET, TRUTH, profile, register, replaced
+from csgm_ros.registration import warm_up
+
+def kernels():
+    return {kernel: len(kernel.overloads) for kernel in gc.get_objects() if isinstance(kernel, Dispatcher)}
+
+warm_up()
+before = kernels()
+register(SOURCE, TRUTH.apply(TARGET), replaced(profile(), {'verification.min_margin': 100.0, 'time_budget': 20.0}))
+print([k.py_func.__qualname__ for k, count in kernels().items() if count > before.get(k, 0)])
+"""
+    paths = os.pathsep.join([str(ROOT), str(ROOT / 'test')])
+    run = subprocess.run(
+        [sys.executable, '-c', code],
+        env={**os.environ, 'PYTHONPATH': paths},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert run.stdout.strip() == '[]'

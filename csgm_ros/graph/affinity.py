@@ -14,7 +14,7 @@ def affinity(first: np.ndarray, second: np.ndarray, similarity: str, sigma: floa
     Parameters
     ----------
     first, second : (n1, d), (n2, d) ndarray
-        Descriptors: ESF of nodes for K_p, edge descriptors for K_q.
+        Descriptors: of nodes for K_p, edge descriptors for K_q.
     similarity : {'linear', 'gaussian'}
         ``1 - D / max(D)`` or ``exp(-D^2 / (2 (sigma median(D))^2))`` of the distances D.
     sigma : float

@@ -75,18 +75,21 @@ def decide(
 
 
 def _terms(findings: Findings, limits: VerificationConfig) -> tuple[Term, ...]:
+    """Return what was measured beside its limits; what was not is left out: it is probed only before acceptance."""
+    probed, seen = bool(findings.scale_curve), findings.seen_through > 0.0
     planes, lead = findings.agreement.planes, margin(findings)
     return (
         Term('independent surfaces that agree', planes, limits.min_planes, True, 'verification.min_planes'),
         Term('score over that of the best different one', lead, limits.min_margin, True, 'verification.min_margin'),
         *(
             Term(name, value, getattr(limits, parameter), False, f'verification.{parameter}')
-            for name, value, parameter in (
-                ('score at another scale', _other_scale_ratio(findings), 'max_scale_ratio'),
-                ('score of the mirrored source', findings.mirrored, 'max_mirrored'),
-                ('cells between refinements on halves', findings.half_shift, 'max_half_shift'),
-                ('share that a sensor has looked through', findings.seen_through, 'max_seen_through'),
+            for name, value, parameter, measured in (
+                ('score at another scale', _other_scale_ratio(findings), 'max_scale_ratio', probed),
+                ('score of the mirrored source', findings.mirrored, 'max_mirrored', probed),
+                ('cells between refinements on halves', findings.half_shift, 'max_half_shift', probed),
+                ('share that a sensor has looked through', findings.seen_through, 'max_seen_through', seen),
             )
+            if measured
         ),
     )
 
@@ -94,7 +97,9 @@ def _terms(findings: Findings, limits: VerificationConfig) -> tuple[Term, ...]:
 def _doubts(findings: Findings, limits: VerificationConfig, units: Units, *, estimate_scale: bool) -> Iterator[str]:
     """Yield what speaks against a transform, in words a user can act on."""
     agreement = findings.agreement
-    if agreement.inliers < MIN_INLIERS or agreement.planes < limits.min_planes:
+    if agreement.inliers < MIN_INLIERS:
+        yield f'too little overlap: only {agreement.inliers} points lie on the other cloud, {MIN_INLIERS} are needed'
+    elif agreement.planes < limits.min_planes:
         yield (
             f'too little overlap or structure: {agreement.planes:.1f} independent surfaces agree, '
             f'{limits.min_planes:g} are asked for by verification.min_planes'

@@ -1,4 +1,4 @@
-"""The clouds as verification sees them, finely sampled, and what their noise allows to ask of a right transform."""
+"""The clouds as verification sees them, finely sampled."""
 
 from __future__ import annotations
 
@@ -37,7 +37,6 @@ def surface(points: np.ndarray, normalization: Similarity, config: Config, rng: 
         sample,
         float(np.clip(spacing - part.inlier_distance, 0.0, MAX_GAP * part.inlier_distance) * known),
         float(np.median(angles[:, 1])),
-        angles[:, 0],
     )
 
 
@@ -45,8 +44,3 @@ def normal_angle(source: Surface, target: Surface, config: Config) -> float:
     """Return the angle in degrees that the normals of two clouds may differ by: little more than in one of them."""
     part = config.verification
     return min(part.max_normal_angle, max(MIN_NORMAL_ANGLE, part.normal_tolerance * max(source.bend, target.bend)))
-
-
-def attainable_fitness(source: Surface, target: Surface, max_angle: float) -> float:
-    """Return the fitness that noise would leave two clouds of one surface: the noisier one's with itself."""
-    return float(min((side.roughness <= max_angle).mean() for side in (source, target)))

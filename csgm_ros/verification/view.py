@@ -39,7 +39,7 @@ class View:
     ----------
     pair : NormalizedPair
     measured : list of Evidence
-        What the verdict compares a transform with, over all attempts.
+        What the verdict compares a transform with, over all attempts at this smoothing.
     """
 
     def __init__(
