@@ -1,5 +1,7 @@
 """What the node hears: every QoS, every layout, and what it says when it hears nothing."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -50,9 +52,13 @@ def test_every_offer_is_heard_as_well_as_it_can_be(active, ros, offered, expecte
     publisher = ros.publisher('/source', offered)
     until(lambda: qos_of(active, 'source') == expected, expected)
     until(lambda: publisher.get_subscription_count() == 1, 'one subscription')
-    publisher.publish(cloud())
+    sent = 0
+    while sent == 0 or (offered is BEST_EFFORT and sent < 20 and not received(active, 'source')):
+        publisher.publish(cloud())  # best effort is lost as long as the subscriber does not know the publisher too
+        sent += 1
+        time.sleep(0.5 * (offered is BEST_EFFORT))
     wait_received(active, 1, 0)
-    assert received(active, 'source') == 1
+    assert 1 <= received(active, 'source') <= sent
 
 
 def test_publishers_of_different_qos_on_one_topic_are_all_heard_once(active, ros):
