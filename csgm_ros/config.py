@@ -18,6 +18,7 @@ __all__ = ['Config', 'NodeConfig', 'configured', 'flatten', 'parameter_fields', 
 
 RADIUS = 'radius of the cloud'
 PROFILES = ('robust', 'paper')
+MODES = ('pair', 'tracking')
 
 # What can be chosen by name: the function that does it. A new one is a function and a line here.
 DESCRIPTORS = {
@@ -327,6 +328,11 @@ class TrackingConfig(Checked):
 class NodeConfig(Checked):
     """What only the ROS node needs, beside :class:`Config`."""
 
+    mode: str = param(
+        'pair',
+        'pair: registers two clouds on request; tracking: follows a depth sensor through a map of any unit',
+        choices=MODES,
+    )
     autostart: bool = param(False, 'configure and activate at start, without a lifecycle manager')
     trigger: str = param(
         'on_request',
@@ -348,6 +354,14 @@ class NodeConfig(Checked):
     )
     window_voxel: float = param(
         0.002, 'edge of the voxels in which merged messages are averaged', unit=RADIUS, low=0.0, high=0.1
+    )
+    map_file: str = param('', 'tracking: the map, a cloud or what `csgm prepare-map` wrote; empty: the topic map')
+    map_frame: str = param('map', 'tracking: frame of a map that comes from a file')
+    odom_frame: str = param('', 'tracking: frame of an odometry that TF tells of; empty: there is none')
+    base_frame: str = param('', "tracking: frame whose pose is given out; empty: the sensor's")
+    tf_broadcast: bool = param(True, 'tracking: send the pose to /tf, as that of odom_frame where there is one')
+    transform_tolerance: float = param(
+        0.1, 'tracking: how far ahead the pose of odom_frame is dated', unit='s', low=0.0, high=10.0
     )
     diagnostics_period: float = param(1.0, 'time between two messages on /diagnostics', unit='s', low=0.05, high=60.0)
     input_timeout: float = param(

@@ -36,7 +36,7 @@ FILES = {
 OPTIONAL = {'formats': {'laspy', 'lazrs', 'trimesh'}, 'batch': {'dask', 'distributed', 'pyarrow'}}
 ROS = {
     *('rclpy', 'rcl_interfaces', 'builtin_interfaces', 'std_msgs', 'std_srvs', 'sensor_msgs', 'geometry_msgs'),
-    *('diagnostic_msgs', 'visualization_msgs', 'lifecycle_msgs', 'rosgraph_msgs', 'tf2_msgs', 'tf2_ros'),
+    *('diagnostic_msgs', 'visualization_msgs', 'nav_msgs', 'lifecycle_msgs', 'rosgraph_msgs', 'tf2_msgs', 'tf2_ros'),
     *('launch', 'launch_ros', 'ament_index_python', 'rosbag2_py', 'sensor_msgs_py'),
 }
 

@@ -34,14 +34,16 @@ def test_parameters_and_their_defaults_are_those_of_the_configuration():
 
 def test_topics_are_those_of_the_node():
     pytest.importorskip('rclpy')
-    from csgm_ros.ros.outputs import TOPICS
+    from csgm_ros.ros import outputs, poses
 
+    topics = outputs.TOPICS | {name: kind for name, (kind, _) in poses.TOPICS.items()}
     told = {name.removeprefix('~/') for row in ROWS for name in re.findall(r'`(~/\w+)`', row[0])}
-    assert set(TOPICS) | {'register', 'cancel'} == told
+    assert set(topics) | {'register', 'cancel'} == told
+    assert '`~/relocalize`' in TEXT
     for row in ROWS:
         name = row[0].strip('`').removeprefix('~/')
-        if name in TOPICS:
-            assert row[1] == TOPICS[name].__name__
+        if name in topics:
+            assert row[1] == topics[name].__name__
 
 
 def test_commands_are_those_of_csgm():

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 if TYPE_CHECKING:
     from csgm_ros.ros.inputs import CloudInput
     from csgm_ros.ros.registration import Registration
+    from csgm_ros.ros.tracker import Tracker
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
-def diagnostics(node, inputs: list[CloudInput], registration: Registration) -> DiagnosticArray:
-    """Return one status for the registration and one for each input."""
+def diagnostics(node, mode) -> DiagnosticArray:
+    """Return one status for what the mode does and one for each input."""
     message = DiagnosticArray()
     message.header.stamp = node.get_clock().now().to_msg()
     name = node.get_fully_qualified_name()[1:].replace('/', '.')
-    message.status = [registration_status(f'{name}: registration', node.state, registration)]
-    message.status += [input_status(f'{name}: {cloud_input.name}', node, cloud_input) for cloud_input in inputs]
+    message.status = [mode.status(name)]
+    message.status += [input_status(f'{name}: {cloud_input.name}', node, cloud_input) for cloud_input in mode.inputs]
     return message
 
 
@@ -34,6 +35,25 @@ def registration_status(name: str, state: str, registration: Registration) -> Di
         values |= {'stage': job.stage, 'progress': f'{job.fraction:.2f}', 'running seconds': f'{job.seconds:.2f}'}
         return status(name, OK, text, values)
     return status(name, record.level, record.text, values)
+
+
+def tracking_status(name: str, state: str, tracker: Tracker) -> DiagnosticStatus:
+    """Return where the sensor is believed to be, on what evidence, and how fast that is said."""
+    record, (rate, median, late) = tracker.record, tracker.pace
+    values: dict[str, Any] = {'lifecycle': state, 'map frame': tracker.map_frame or 'none yet'}
+    values |= {'frames': record.frames, 'dropped': record.dropped, 'failed': record.failed}
+    values |= {'rate Hz': f'{rate:.1f}', 'latency ms': f'{1e3 * median:.0f}', 'latency 95 % ms': f'{1e3 * late:.0f}'}
+    last = record.last
+    if last is None:
+        text = record.complaint or (f'waits for {"frames" if tracker.map_frame else "a map"}')
+        return status(name, ERROR if record.complaint else OK, text, {'state': 'lost', **values})
+    values |= {'state': last.state, 'reason': last.reason, 'work ms': f'{1e3 * last.seconds:.0f}'}
+    values |= {'evidence on map': f'{last.on_map:.3f}', 'evidence agreement': f'{last.agreement:.3f}'}
+    values |= {'scale': f'{last.scale:.6g}', 'scale sigma': f'{last.scale_sigma:.2g}'}
+    if record.complaint:
+        return status(name, WARN, f'frame left out: {record.complaint}', values)
+    level = OK if last.state == 'tracking' else WARN
+    return status(name, level, f'{last.state}: {last.reason}', values)
 
 
 def input_status(name: str, node, cloud_input: CloudInput) -> DiagnosticStatus:

@@ -76,7 +76,7 @@ class Frames:
         """
         heard = self._listener
         if heard is None:
-            raise InputError('fixed_frame is set, but TF is not listened to; is tf2_msgs installed?')
+            raise InputError(f'TF is not listened to, so {frame} has no place in {fixed}; is tf2_msgs installed?')
         return heard.lookup(fixed, frame, stamp)
 
 
@@ -85,7 +85,7 @@ def listener(node: Node) -> TfListener | Tf2Listener:
     try:
         from tf2_msgs.msg import TFMessage
     except ImportError:
-        raise InputError('fixed_frame needs TF, and tf2_msgs is not installed') from None
+        raise InputError('fixed_frame, odom_frame and base_frame need TF, and tf2_msgs is not installed') from None
     try:
         return Tf2Listener(node)
     except ImportError:

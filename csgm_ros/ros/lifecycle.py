@@ -10,6 +10,7 @@ from typing import Any
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
+from std_srvs.srv import Trigger
 
 from csgm_ros.errors import CsgmError
 
@@ -32,6 +33,17 @@ def guarded(callback: Callable, node: Node, fallback: Any = None) -> Callable:
         return fallback() if callable(fallback) else fallback
 
     return call
+
+
+def answering(method: Callable[[], tuple[bool, str]], node: Node) -> Callable:
+    """Make a Trigger callback of a method that returns (success, message)."""
+    safe = guarded(method, node, (False, 'internal error; the traceback is in the log of the node'))
+
+    def callback(_, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = safe()
+        return response
+
+    return callback
 
 
 class SafeLifecycleNode(LifecycleNode):

@@ -14,7 +14,7 @@ from visualization_msgs.msg import MarkerArray
 from csgm_ros.ros.cloud_msgs import cloud_message, header, matrix_message, transform_message
 from csgm_ros.ros.markers import graph_markers
 from csgm_ros.ros.qos import LATCHED
-from csgm_ros.ros.tf import StaticTransform
+from csgm_ros.ros.tf import STATIC, Broadcaster
 from csgm_ros.types import Cloud, RegistrationResult
 
 TOPICS = {
@@ -41,7 +41,7 @@ class Outputs:
         self._publishers = {
             name: node.create_lifecycle_publisher(kind, f'~/{name}', LATCHED) for name, kind in TOPICS.items()
         }
-        self._static_transform = StaticTransform(node)
+        self._static_transform = Broadcaster(node, STATIC)
         self._pending_graphs: tuple[RegistrationResult, Header] | None = None
 
     def destroy(self) -> None:

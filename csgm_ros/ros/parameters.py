@@ -14,7 +14,7 @@ from csgm_ros import config as configuration
 from csgm_ros.config import Config, NodeConfig
 from csgm_ros.errors import ConfigError
 
-READ_ONLY = ('profile', 'autostart', 'diagnostics_period')
+READ_ONLY = ('profile', 'mode', 'autostart', 'diagnostics_period')
 INT64 = 2**63 - 1
 SCALARS = (bool, int, float, str)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -73,6 +74,27 @@ def prepare_map(points: np.ndarray) -> PreparedMap:
         voxel *= 1.1 * np.sqrt(len(means) / MOST)
         means = voxel_means(points, voxel)
     return PreparedMap(means, normals_of(means, min(NEIGHBORS, len(means))), voxel)
+
+
+def read_map(path: str | Path) -> PreparedMap:
+    """Read a map, prepared or not.
+
+    Raises
+    ------
+    InputError
+        For a file that is missing, damaged, or no map.
+    """
+    from csgm_ros.io.files import read_cloud
+
+    path = Path(path)
+    if path.suffix == '.npz' and path.is_file() and zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as file:
+            if 'csgm_map.npy' in file.namelist():
+                return load_map(path)
+    try:
+        return prepare_map(read_cloud(path).points)
+    except InputError as error:
+        raise InputError(str(error) if str(path) in str(error) else f'{error} ({path})') from None
 
 
 def save_map(path: str | Path, prepared: PreparedMap) -> None:

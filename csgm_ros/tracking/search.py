@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import threading
 from typing import NamedTuple
 
 import numpy as np
 
 from csgm_ros.config import Config, replaced
+from csgm_ros.errors import Cancelled
 from csgm_ros.registration import register
 from csgm_ros.tracking.localization import Localizer, Place, Submap, scale_of, scaling
 from csgm_ros.tracking.maps import PreparedMap
@@ -47,8 +49,15 @@ class Found(NamedTuple):
     reason: str
 
 
-def search(query: Query, prepared: PreparedMap, config: Config, seed: int) -> Found:
-    """Search near the prior first, then everywhere."""
+def search(
+    query: Query, prepared: PreparedMap, config: Config, seed: int, closed: threading.Event | None = None
+) -> Found:
+    """Search near the prior first, then everywhere; give up once ``closed`` is set."""
+
+    def progress(*_) -> None:
+        if closed is not None and closed.is_set():
+            raise Cancelled('the session was closed')
+
     rng = np.random.default_rng(seed)
     localizer = Localizer(query.submap, prepared, rng)
     known = query.scale is not None
@@ -57,7 +66,8 @@ def search(query: Query, prepared: PreparedMap, config: Config, seed: int) -> Fo
         if near and _enough(near[0], query):
             return Found(near[0].matrix, 'near where it was expected')
     points = query.submap.levels[0].points * (query.scale if known else 1.0)
-    result = register(points, prepared.points, replaced(config, {'scale.estimate_scale': not known}), seed=seed)
+    config = replaced(config, {'scale.estimate_scale': not known})
+    result = register(points, prepared.points, config, seed=seed, on_progress=progress)
     matrix = result.T_target_source @ scaling(1.0 if query.scale is None else query.scale, np.zeros(3))
     best = localizer.best(matrix[None], fixed_scale=known)
     if best and (result.accepted or _enough(best[0], query)):

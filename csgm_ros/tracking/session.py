@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from concurrent.futures import Executor, Future
 from typing import Any, NamedTuple
@@ -78,11 +79,21 @@ class Session:
         self._job: Job | None = None
         self._covariance: np.ndarray | None = None
         self._typical = np.zeros(3)  # closeness, share and agreement of tracked frames
+        self._closed = threading.Event()
 
     @property
     def state(self) -> str:
         """``lost``, ``localizing`` or ``tracking``."""
         return self._state
+
+    @property
+    def scale(self) -> float:
+        """Map units a metre; NaN while unknown."""
+        return self._scale
+
+    def close(self) -> None:
+        """Give up a search that an executor still runs; the session takes frames no more."""
+        self._closed.set()
 
     def relocalize(self, prior: Prior | None = None) -> None:
         """Forget the place and search for it again, near ``prior`` (sensor to map) first where one is given."""
@@ -261,7 +272,7 @@ class Session:
         submap = localization.joined([(frame, matrix) for _, frame, matrix in self._recent], self._voxel)
         scale = self._scale if self._scale_information > 0 else None
         query = Query(submap, scale, self._prior, self._odometry.matrix, self._enough())
-        inputs = query, self._map, self.config, self._seed
+        inputs = query, self._map, self.config, self._seed, self._closed
         self._job = Job(self._segment, _submitted(self._executor, *inputs))
         if self._state == LOST:
             self._state, self._reason = LOCALIZING, f'searching: {self._reason}'
@@ -289,6 +300,23 @@ class Session:
 
     def _scale_sigma(self) -> float:
         return 0.02 / np.sqrt(self._scale_information) if self._scale_information else np.nan
+
+
+def warm_up() -> None:
+    """Compile every kernel, or load it from the disk, by following a sensor that stands still in a corner."""
+    faces = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 4000, 3))
+    for axis in range(3):
+        faces[axis, :, axis] = 1.0
+    corner = faces.reshape(-1, 3) + np.array((0.0, 0.0, 2.0))
+    session = Session(corner)
+    frame = frames.prepared(corner, frames.resolution(corner, session.config.tracking.resolution))
+    session._voxel, session._scale, session._scale_information = 0.03, 1.0, 1.0
+    session._move(frame, 0.0, None)
+    session._place, session._level = np.eye(4), session._map.level(0.03)
+    session._judge(frame)
+    session._prior, session._typical = expected(np.eye(4)), np.array((1e-3, 0.0, 0.5))
+    submap = localization.joined([(frame, np.eye(4))], 0.03)
+    search(Query(submap, 1.0, session._prior, np.eye(4), (0.0, 0.0)), session._map, session.config, 0)
 
 
 def _submitted(executor: Executor | None, *inputs) -> Future:

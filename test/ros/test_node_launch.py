@@ -47,6 +47,15 @@ def test_arguments_reach_node_and_rviz(launch):
     assert {'/source:=/map', '/csgm/fused:=csgm/fused', '__ns:=/robot'} <= set(rviz)
 
 
+def test_localization_starts_the_node_in_its_mode(launch):
+    context = launch('localization.launch.py', map_file='/m.npz', points_topic='/depth', odom_frame='odom', rviz='true')
+    node, rviz = context.started
+    assert {'map:=map', 'points:=/depth', 'mode:=tracking', 'map_file:=/m.npz', 'odom_frame:=odom'} <= set(node)
+    assert 'tf_broadcast:=true' in node
+    assert Path(rviz[rviz.index('-d') + 1]).is_file()
+    assert rviz[rviz.index('-f') + 1] == 'map_metric'
+
+
 def test_replay_uses_the_time_of_the_bag(launch):
     context = launch('replay.launch.py', bag='/data/bag', source_topic='/map', loop='true', rate='2.0')
     node, player = context.started

@@ -181,11 +181,11 @@ def test_missing_tf_is_said_once_and_the_rest_works(ros):
             assert client.register().success
             assert client.register().success
             assert client.set_parameters({'fixed_frame': 'map'}).success
-            process.wait_log('fixed_frame needs TF')
+            process.wait_log('base_frame need TF')
             assert client.deactivate().success
             assert not client.activate().success
             assert client.state() == 'inactive'
-        assert 2 <= process.log.count('fixed_frame needs TF') <= 3  # once while active, once for activating
+        assert 2 <= process.log.count('base_frame need TF') <= 3  # once while active, once for activating
         assert 'Traceback' not in process.log
         assert process.log.count('tf2_msgs is not installed: nothing on /tf_static') == 1
         assert kept

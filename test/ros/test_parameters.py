@@ -12,7 +12,7 @@ from ros_helpers.process import NodeProcess
 
 from csgm_ros.config import Config, NodeConfig, flatten, parameter_fields, profile
 from csgm_ros.errors import ConfigError
-from csgm_ros.ros.parameters import Parameters
+from csgm_ros.ros.parameters import READ_ONLY, Parameters
 
 pytestmark = pytest.mark.ros
 
@@ -47,7 +47,7 @@ def test_parameters_are_the_configuration(declared, name):
             described = node.describe_parameter(key)
             assert fields[key].metadata['description'] in described.description
             assert fields[key].metadata['unit'] in described.description
-            assert described.read_only == (key in ('profile', 'autostart', 'diagnostics_period'))
+            assert described.read_only == (key in READ_ONLY)
 
 
 def test_every_range_is_enforced_by_ros_itself(declared):

@@ -4,10 +4,11 @@ import sys
 
 from csgm_ros import registration
 from csgm_ros.ros.inputs import CloudInput
-from csgm_ros.ros.node import CsgmNode, main
+from csgm_ros.ros.node import main
 from csgm_ros.ros.outputs import Outputs
+from csgm_ros.ros.pairing import Pairing
 
-PARTS = [(registration, 'warm_up'), (CloudInput, 'follow_offers'), (CsgmNode, '_on_cancel'), (Outputs, 'destroy')]
+PARTS = [(registration, 'warm_up'), (CloudInput, 'follow_offers'), (Pairing, '_on_cancel'), (Outputs, 'destroy')]
 
 
 def break_once(owner, name):

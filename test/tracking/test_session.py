@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from sequences import Sequence
 
 from csgm_ros import Session
 from csgm_ros.errors import InputError
@@ -79,29 +80,6 @@ def test_a_motion_carried_on_twice_is_the_motion_twice():
 @pytest.fixture(scope='module')
 def kitchen(shared):
     return Sequence(shared / 'data' / 'sequence_kitchen')
-
-
-class Sequence:
-    def __init__(self, folder):
-        from csgm_ros.io.files import read_cloud
-
-        with np.load(folder / 'frames.npz') as file:
-            self.depth, self.stamps, self.truth, k = (file[n] for n in ('depth', 'stamp', 'T_map_camera', 'K'))
-        self.map = read_cloud(folder / 'map.ply').points
-        v, u = np.mgrid[: self.depth.shape[1], : self.depth.shape[2]]
-        self._rays = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones(u.shape)], axis=-1)
-
-    def points(self, number):
-        return (self._rays * (self.depth[number][..., None] / 1000.0)).reshape(-1, 3)
-
-    def right(self, number, matrix):
-        """The rule of the data: 10 cm, 5 degrees, 6 %."""
-        truth, points = self.truth[number], self.points(number)
-        scales = [np.cbrt(np.linalg.det(m[:3, :3])) for m in (matrix, truth)]
-        turn = (matrix[:3, :3] / scales[0]) @ (truth[:3, :3] / scales[1]).T
-        angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
-        shift = np.linalg.norm(moved(matrix, points) - moved(truth, points), axis=1).mean() / scales[1]
-        return shift < 0.1 and angle < 5 and abs(scales[0] / scales[1] - 1) < 0.06
 
 
 def test_a_walk_is_localised_tracked_interrupted_and_found_again(kitchen):

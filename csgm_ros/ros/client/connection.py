@@ -50,9 +50,9 @@ class Status:
     state : str
         Lifecycle state.
     message : str
-        One line on the registration.
+        One line on the registration, or on tracking.
     values : dict of str to dict of str to str
-        Diagnostics: the facts under ``registration``, ``source`` and ``target``.
+        Diagnostics: the facts under ``registration`` or ``tracking``, and under the names of the inputs.
     """
 
     state: str
@@ -104,7 +104,7 @@ class Client:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         kinds = {'change_state': ChangeState, 'get_available_transitions': GetAvailableTransitions}
-        kinds |= {'register': Trigger, 'cancel': Trigger}
+        self._triggers = {name: self._create(Trigger, name) for name in ('register', 'cancel', 'relocalize')}
         self._clients = {name: self._create(kind, name) for name, kind in kinds.items()}
         self._parameters = AsyncParameterClient(self._node, self.node_name)
         self._clients['get_state'] = self._create(GetState, 'get_state')
@@ -168,6 +168,10 @@ class Client:
         """Cancel the running registration."""
         return self._trigger('cancel', self.timeout)
 
+    def relocalize(self) -> Answer:
+        """Let a node that tracks forget the place and search everywhere."""
+        return self._trigger('relocalize', self.timeout)
+
     def state(self) -> str:
         """Return the lifecycle state."""
         return self._call('get_state', GetState.Request(), self.timeout).current_state.label
@@ -193,7 +197,7 @@ class Client:
         values = {each.name[len(prefix) :]: {pair.key: pair.value for pair in each.values} for each in heard}
         for each in heard:
             values[each.name[len(prefix) :]]['message'] = each.message
-        return Status(state, values['registration']['message'], values)
+        return Status(state, heard[0].message, values)
 
     def set_parameters(self, values: dict[str, Any]) -> Answer:
         """Set parameters as a whole: all of them or, with the reason, none."""
@@ -249,7 +253,10 @@ class Client:
         return Answer(False, f'not {goal}: the node is {self.state()}, its log may tell why; possible: {possible}')
 
     def _trigger(self, service: str, timeout: float) -> Answer:
-        answer = self._call(service, Trigger.Request(), timeout)
+        """Call a service that the node has in one of its modes only."""
+        client = self._triggers[service]
+        self._spin_until(client.service_is_ready, DISCOVERY, f'{self.node_name} has no {service} in its mode')
+        answer = self._result(client.call_async(Trigger.Request()), timeout, service)
         return Answer(answer.success, answer.message)
 
     def _call(self, service: str, request: Any, timeout: float) -> Any:
