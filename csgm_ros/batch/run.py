@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import concurrent.futures
 import contextlib
 import itertools
 import logging
@@ -19,6 +21,8 @@ from csgm_ros.errors import InputError
 
 OUTSTANDING = 1000  # pairs that the scheduler knows at least at a time, else two a worker: a few megabytes
 BYTES_A_WORKER = 1.5e9  # a registration of two clouds of some million points
+GONE = OSError, asyncio.CancelledError, concurrent.futures.CancelledError
+LOST = 'the scheduler is lost; what is done is kept: start it and run again'
 
 
 def run(pairs: Sequence[Pair], results: Results, client, *, threads: int = 1, retries: int = 2, stream=None) -> dict:
@@ -53,25 +57,48 @@ def run(pairs: Sequence[Pair], results: Results, client, *, threads: int = 1, re
     left = [pair for pair in pairs if pair.key not in results.keys]
     counts = {'accepted': 0, 'rejected': 0, 'failed': 0, 'earlier': len(pairs) - len(left)}
     with _Progress(len(pairs), len(pairs) - len(left), stream or sys.stderr) as progress, _lost_at_interrupt(results):
-        waiting, queue, going = iter(left), as_completed(loop=client.loop), {}
+        waiting, going = enumerate(left), {}
+        with asking(client):
+            queue = as_completed(loop=client.loop)
+            batches = queue.batches()
 
-        def submit(count: int) -> None:
-            for pair in itertools.islice(waiting, count):
-                future = client.submit(register_pair, pair, threads, key=f'register-{pair.key}', retries=retries)
-                going[future.key] = pair
-                queue.add(future)
+        def submit() -> None:
+            with asking(client):
+                most = max(OUTSTANDING, 2 * sum(client.nthreads().values()))
+                for number, pair in itertools.islice(waiting, max(0, most - len(going))):
+                    how = {'key': f'register-{pair.key}', 'priority': -number, 'retries': retries}  # in their order
+                    future = client.submit(register_pair, pair, threads, **how)
+                    going[future.key] = pair
+                    queue.add(future)
 
-        submit(OUTSTANDING)
-        for futures in queue.batches():  # those done since the last look share one wait for the disk
-            rows = [_row(future, going.pop(future.key)) for future in futures]
+        submit()
+        while going:
+            with asking(client):  # those done since the last look share one wait for the disk
+                rows = [_row(future, going.pop(future.key)) for future in next(batches)]
             results.append(*rows)
             for row in rows:
                 counts['failed' if row['failed'] else 'accepted' if row['accepted'] else 'rejected'] += 1
                 progress(counts)
-            most = max(OUTSTANDING, 2 * sum(client.nthreads().values()))
-            submit(max(0, most - len(going)))
+            submit()
     results.commit()
     return counts
+
+
+@contextlib.contextmanager
+def asking(client) -> Iterator[None]:
+    """Say in one line whatever a call to a scheduler raises that is gone: Dask has many words for it.
+
+    Raises
+    ------
+    InputError
+        In their place.
+    """
+    try:
+        yield
+    except (Exception, asyncio.CancelledError) as error:
+        if client.status == 'running' and not isinstance(error, GONE):
+            raise  # no matter of the connection
+        raise InputError(LOST) from error
 
 
 def _row(future, pair: Pair) -> dict:
@@ -79,7 +106,7 @@ def _row(future, pair: Pair) -> dict:
     from distributed import KilledWorker
 
     if future.status in ('cancelled', 'lost'):
-        raise InputError('the scheduler is lost; what is done is kept: start it and run again')
+        raise InputError(LOST)
     error = future.exception()
     if error is None:
         return future.result()
@@ -125,7 +152,7 @@ def cluster(address: str | None, workers: int = 0, *, threads: int = 0, retries:
     Raises
     ------
     InputError
-        When no scheduler answers there.
+        When no scheduler answers there, or none can be started here.
     """
     import dask
     from distributed import Client, LocalCluster
@@ -136,9 +163,9 @@ def cluster(address: str | None, workers: int = 0, *, threads: int = 0, retries:
         try:
             where = {'scheduler_file': address} if Path(address).is_file() else {'address': address}
             client = Client(**where, set_as_default=False)
-        except (OSError, ValueError, TypeError) as error:
+        except (OSError, ValueError, TypeError, KeyError, ImportError) as error:
             raise InputError(f'--scheduler {address}: no answer ({error}); start it or check the address') from None
-        with client:
+        with _closing(client):
             yield client, threads or 1
         return
     cores = len(os.sched_getaffinity(0))
@@ -156,17 +183,22 @@ def cluster(address: str | None, workers: int = 0, *, threads: int = 0, retries:
         'distributed.scheduler.work-stealing': False,
     }
     with dask.config.set(settings):
-        local = LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            host='127.0.0.1',
-            dashboard_address='127.0.0.1:0',
-            env={name: str(threads) for name in numbers},
-            silence_logs=logging.CRITICAL,
-        )
         try:
-            with Client(local, set_as_default=False) as client:
+            local = LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                host='127.0.0.1',
+                dashboard_address='127.0.0.1:0',
+                env={name: str(threads) for name in numbers},
+                silence_logs=logging.CRITICAL,
+            )
+        except (OSError, RuntimeError) as error:
+            raise InputError(
+                f'{workers} workers could not be started here ({error}); take fewer by --workers'
+            ) from None
+        try:
+            with _closing(Client(local, set_as_default=False)) as client:
                 yield client, threads
         finally:
             # the workers hold nothing that is not on the disk: on a busy machine they do not end in time by themselves
@@ -174,6 +206,16 @@ def cluster(address: str | None, workers: int = 0, *, threads: int = 0, retries:
                 local.close(timeout=10)
             for process in set(multiprocessing.active_children()) - before:
                 process.kill()
+
+
+@contextlib.contextmanager
+def _closing(client) -> Iterator:
+    """Close a client whose scheduler may be gone, which is said elsewhere."""
+    try:
+        yield client
+    finally:
+        with contextlib.suppress(*GONE, RuntimeError, AssertionError):
+            client.close(timeout=10)
 
 
 def _memory() -> int:

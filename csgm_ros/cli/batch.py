@@ -76,7 +76,7 @@ def _align_parser() -> argparse.ArgumentParser:
 def _run(options) -> int:
     from csgm_ros.batch import pairs as lists
     from csgm_ros.batch.results import Results
-    from csgm_ros.batch.run import cluster, run
+    from csgm_ros.batch.run import asking, cluster, run
     from csgm_ros.io.config_files import assignment, read_config
 
     config = read_config(options.config, options.profile)
@@ -100,8 +100,9 @@ def _run(options) -> int:
             return 0
         resources = options.scheduler, options.workers
         with cluster(*resources, threads=options.threads, retries=options.retries) as (client, threads):
-            slots = sum(client.nthreads().values())
-            print(f'csgm: {slots} workers, dashboard {client.dashboard_link}', file=sys.stderr)
+            with asking(client):
+                slots, dashboard = sum(client.nthreads().values()), client.dashboard_link
+            print(f'csgm: {slots} workers, dashboard {dashboard}', file=sys.stderr)
             if not slots:
                 print('csgm: the scheduler has no workers yet; waiting for them', file=sys.stderr)
             counts = run(pairs, results, client, threads=threads, retries=options.retries)

@@ -15,13 +15,15 @@ from scenes import random_similarity, room
 pytest.importorskip('distributed')
 pytest.importorskip('pyarrow')
 import cloudpickle
+import dask
 from distributed import WorkerPlugin
 
 from csgm_ros import register
 from csgm_ros.batch.pairs import from_table
 from csgm_ros.batch.results import Results, read
-from csgm_ros.batch.run import cluster, run
+from csgm_ros.batch.run import LOST, cluster, run
 from csgm_ros.config import profile, replaced
+from csgm_ros.errors import InputError
 from csgm_ros.io.files import read_cloud
 
 ROOT = Path(__file__).parents[2]
@@ -57,17 +59,40 @@ class Deadly(WorkerPlugin):
 
 
 @pytest.fixture(scope='module')
-def table(tmp_path_factory):
-    """Five pairs of one scene in units of their own, and one whose source is missing."""
+def scans(tmp_path_factory):
+    """Three clouds of one scene in units of their own."""
     folder = tmp_path_factory.mktemp('scans')
     rng = np.random.default_rng(0)
-    lines = ['source,target,id']
-    for number in range(5):
-        np.save(folder / f'{number}.npy', random_similarity(rng).apply(room(number, density=300)))
-        lines.append(f'{number}.npy,{(number + 1) % 5}.npy,p{number}')
-    path = folder / 'pairs.csv'
-    path.write_text('\n'.join([*lines, 'none.npy,0.npy,missing', '']))
+    for name in ('0', '1', 'held'):
+        np.save(folder / f'{name}.npy', random_similarity(rng).apply(room(0, density=300)))
+    return folder
+
+
+def written(path, *lines):
+    path.write_text('\n'.join(['source,target,id', *lines, '']))
     return path
+
+
+@pytest.fixture(scope='module')
+def table(scans):
+    """Two pairs that are done at once, as their sources are missing, and one that `holding` workers never end."""
+    return written(scans / 'pairs.csv', 'none.npy,0.npy,first', 'none.npy,1.npy,second', 'held.npy,0.npy,held')
+
+
+@pytest.fixture
+def holding(tmp_path, monkeypatch):
+    """Workers that are started now read held.npy from a disk that never answers."""
+    script = tmp_path / 'holding.py'
+    script.write_text(
+        'import functools, time\n'
+        'import csgm_ros.io.files as files\n'
+        'def reading(real, path, *arguments):\n'
+        "    while str(path).endswith('held.npy'):\n"
+        '        time.sleep(0.1)\n'
+        '    return real(path, *arguments)\n'
+        'files.read_points = functools.partial(reading, files.read_points)\n'  # a worker runs this twice
+    )
+    monkeypatch.setenv('DASK_DISTRIBUTED__WORKER__PRELOAD', str(script))
 
 
 @pytest.fixture(scope='module')
@@ -76,21 +101,20 @@ def client():
         yield client
 
 
-def test_rows_are_the_bits_of_plain_calls_and_bad_pairs_stop_nothing(table, client, tmp_path):
+def test_rows_are_the_bits_of_plain_calls_and_bad_pairs_stop_nothing(scans, client, tmp_path):
     client.register_plugin(Deadly())
     config = replaced(profile(), QUICK)
-    path = table.with_name('deadly.csv')
-    path.write_text('\n'.join([*table.read_text().splitlines()[:4], 'deadly.npy,0.npy,deadly', 'none.npy,0.npy,none']))
-    pairs = from_table(path, config)
+    good = '0.npy,1.npy,p0', '1.npy,0.npy,p1'
+    pairs = from_table(written(scans / 'deadly.csv', *good, 'deadly.npy,0.npy,deadly', 'none.npy,0.npy,none'), config)
     with Results(tmp_path) as results:
         counts = run(pairs, results, client, retries=1)
         assert counts['failed'] == 2
-        assert counts['accepted'] + counts['rejected'] == 3
-        assert run(pairs, results, client)['earlier'] == 5
+        assert counts['accepted'] + counts['rejected'] == 2
+        assert run(pairs, results, client)['earlier'] == 4
     rows = {row['id']: row for row in read(tmp_path)}
     assert 'killed its worker 2 times' in rows['deadly']['reason']
     assert 'none.npy: no such file; check the path' in rows['none']['reason']
-    for pair in pairs[:3]:
+    for pair in pairs[:2]:
         row = rows[pair.id]
         expected = register(read_cloud(pair.source).points, read_cloud(pair.target).points, config)
         assert row['T_target_source'] == expected.T_target_source.ravel().tolist()
@@ -110,7 +134,7 @@ def start(words, **options):
     )
 
 
-def wait_for(condition, seconds=100):
+def wait_for(condition, seconds=60):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, 'waited in vain'
@@ -128,51 +152,115 @@ def members(group):
     return [state for state in found.split() if not state.startswith('Z')]
 
 
-def test_a_client_killed_in_the_middle_leaves_no_process_and_is_resumed(table, tmp_path):
-    running = start(command(table, '-o', tmp_path, '--workers', 2), start_new_session=True)
+def resumed(table, folder, *arguments):
+    """Run again, now that held.npy can be read; nothing is lost, nothing done twice."""
+    first = {row['id']: row['finished'] for row in read(folder)}
+    assert set(first) == {'first', 'second'}
+    running = start(command(table, '-o', folder, *arguments))
+    said, _ = running.communicate(timeout=200)
+    assert running.returncode == 0, said
+    assert '2 done earlier' in said
+    rows = read(folder)
+    assert [row['id'] for row in rows] == ['first', 'held', 'second']
+    assert first.items() <= {row['id']: row['finished'] for row in rows}.items()
+    assert not rows[1]['failed']
+
+
+def test_a_client_killed_in_the_middle_leaves_no_process_and_is_resumed(table, tmp_path, holding, monkeypatch):
+    running = start(command(table, '-o', tmp_path, '--workers', 1), start_new_session=True)
     wait_for(lambda: finished(tmp_path) >= 2)
     running.kill()
     running.wait()
-    first = {row['id']: row['finished'] for row in read(tmp_path)}
     wait_for(lambda: not members(running.pid), 30)
-    resumed = start(command(table, '-o', tmp_path, '--workers', 1))
-    said, _ = resumed.communicate(timeout=200)
-    assert resumed.returncode == 0, said
-    assert f'{len(first)} done earlier' in said
-    rows = read(tmp_path)
-    assert sorted(row['id'] for row in rows) == ['missing', *(f'p{number}' for number in range(5))]
-    assert first.items() <= {row['id']: row['finished'] for row in rows}.items()
+    monkeypatch.undo()
+    resumed(table, tmp_path, '--workers', 1)
 
 
-def test_a_scheduler_killed_in_the_middle_ends_the_run_in_one_line_and_is_resumed(table, tmp_path):
-    with socket.socket() as probe:
-        probe.bind(('127.0.0.1', 0))
-        address = f'tcp://127.0.0.1:{probe.getsockname()[1]}'
-    dask = (
-        [sys.executable, '-m', 'distributed.cli.dask_scheduler'],
-        [sys.executable, '-m', 'distributed.cli.dask_worker'],
-    )
-    scheduler_words = [*dask[0], '--host', '127.0.0.1', '--port', address.rpartition(':')[2], '--no-dashboard']
-    worker_words = [*dask[1], address, '--nthreads', '1', '--death-timeout', '60', '--no-dashboard']
-    started = [start(scheduler_words), start(worker_words)]
-    try:
-        running = start(command(table, '-o', tmp_path, '--scheduler', address))
-        wait_for(lambda: finished(tmp_path) >= 2)
-        started[0].kill()
-        said, _ = running.communicate(timeout=100)
-        assert running.returncode == 2, said
-        assert 'the scheduler is lost; what is done is kept: start it and run again' in said
-        assert 'Traceback' not in said
-        before = len(read(tmp_path))
-        assert before < 6
-        started += [start(scheduler_words), start(worker_words)]  # workers end with their scheduler
-        resumed = start(command(table, '-o', tmp_path, '--scheduler', address))
-        said, _ = resumed.communicate(timeout=200)
-        assert resumed.returncode == 0, said
-        assert f'{before} done earlier' in said
-        rows = read(tmp_path)
-        assert len(rows) == len({row['id'] for row in rows}) == 6
-    finally:
-        for process in started:
+class Cluster:
+    """A scheduler of its own, and workers where they are asked for."""
+
+    def __init__(self):
+        with socket.socket() as probe:
+            probe.bind(('127.0.0.1', 0))
+            self.port = probe.getsockname()[1]
+        self.address = f'tcp://127.0.0.1:{self.port}'
+        self._started = []
+
+    def start(self, *, worker=True):
+        local = '--host', '127.0.0.1', '--no-dashboard'
+        self.scheduler = start(
+            [sys.executable, '-m', 'distributed.cli.dask_scheduler', *local, '--port', str(self.port)]
+        )
+        self._started.append(self.scheduler)
+        wait_for(self._answers)
+        if worker:
+            words = [self.address, *local, '--nthreads', '1', '--death-timeout', '60']
+            self._started.append(start([sys.executable, '-m', 'distributed.cli.dask_worker', *words]))
+
+    def _answers(self):
+        with socket.socket() as probe:
+            return probe.connect_ex(('127.0.0.1', self.port)) == 0
+
+    def close(self):
+        for process in self._started:
             process.kill()
             process.wait()
+
+
+@pytest.fixture
+def own(monkeypatch):
+    monkeypatch.setenv('DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT', '4s')  # so long is a lost scheduler looked for
+    started = Cluster()
+    with dask.config.set({'distributed.comm.timeouts.connect': '4s'}):
+        yield started
+    started.close()
+
+
+def test_a_scheduler_killed_in_the_middle_ends_the_run_in_one_line_and_is_resumed(
+    table, tmp_path, own, holding, monkeypatch
+):
+    own.start()
+    running = start(command(table, '-o', tmp_path, '--scheduler', own.address))
+    wait_for(lambda: finished(tmp_path) >= 2)
+    own.scheduler.kill()
+    said, _ = running.communicate(timeout=100)
+    assert running.returncode == 2, said
+    assert LOST in said
+    assert 'Traceback' not in said
+    monkeypatch.undo()
+    own.start()  # workers end with their scheduler
+    resumed(table, tmp_path, '--scheduler', own.address)
+
+
+class Fatal:
+    """A client before whose call of one name the scheduler dies; it notices only when it must, or at once."""
+
+    def __init__(self, client, scheduler, name, *, noticed):
+        self._client, self._scheduler, self._name, self._noticed = client, scheduler, name, noticed
+
+    def __getattr__(self, name):
+        if name == self._name:
+            self._scheduler.kill()
+            self._scheduler.wait()
+            if self._noticed:
+                wait_for(lambda: self._client.status != 'running')
+        return getattr(self._client, name)
+
+
+@pytest.mark.parametrize(('call', 'noticed'), [('nthreads', False), ('submit', False), ('submit', True)])
+def test_a_scheduler_lost_at_any_call_ends_the_run_in_one_line(table, tmp_path, own, call, noticed):
+    own.start(worker=False)
+    pairs = from_table(table, profile())
+    with Results(tmp_path) as results, cluster(own.address) as (client, _):
+        fatal = Fatal(client, own.scheduler, call, noticed=noticed)
+        with pytest.raises(InputError, match=LOST):
+            run(pairs, results, fatal)
+
+
+def test_a_scheduler_that_is_not_there_or_is_gone_at_the_end_is_no_traceback(own):
+    own.start(worker=False)
+    with cluster(own.address):
+        own.scheduler.kill()
+        own.scheduler.wait()
+    with pytest.raises(InputError, match='no answer'), cluster(own.address):
+        pass

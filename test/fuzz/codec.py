@@ -12,9 +12,10 @@ import atheris
 
 with atheris.instrument_imports(include=['csgm_ros.io']):
     from csgm_ros.io import files, pointcloud2
-    from csgm_ros.io.formats import arrays, colmap, las, pcd, ply, text  # noqa: F401 - to be instrumented
+    from csgm_ros.io.formats import arrays, colmap, las, mesh, pcd, ply, text  # noqa: F401 - to be instrumented
 
 from csgm_ros.errors import InputError
+from fuzz import corpus
 
 
 def message(data: bytes) -> SimpleNamespace:
@@ -70,6 +71,11 @@ def read(path: Path):
 
 if __name__ == '__main__':
     kind = sys.argv.pop(1)
-    with tempfile.TemporaryDirectory() as folder:
-        atheris.Setup(sys.argv, decode if kind == 'pointcloud2' else read(Path(folder) / kind))
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / 'seeds').mkdir()
+        if kind != 'pointcloud2':
+            for number, data in enumerate(corpus.files(folder)[kind]):
+                (folder / 'seeds' / str(number)).write_bytes(data)
+        atheris.Setup([*sys.argv, str(folder / 'seeds')], decode if kind == 'pointcloud2' else read(folder / kind))
         atheris.Fuzz()
