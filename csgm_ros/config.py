@@ -29,6 +29,7 @@ HYPOTHESIS_SOURCES = {
     'graph': 'csgm_ros.transform.graph_source:propose',
     'local': 'csgm_ros.transform.local_source:propose',
     'planes': 'csgm_ros.transform.planes:propose',
+    'prior': 'csgm_ros.transform.prior_source:propose',
 }
 
 
@@ -183,7 +184,8 @@ class HypothesesConfig(Checked):
         ('graph', 'local', 'planes'),
         'where the search gets its hypotheses, one source after the other while nothing is certain; graph: triples of '
         'matched nodes and of their next-best correspondences; local: triples of keypoints with similar FPFH; planes: '
-        'dominant planes on each other, then yaw, place and scale by correlation of layered occupancy',
+        'dominant planes on each other, then yaw, place and scale by correlation of layered occupancy; prior: near '
+        'what is expected, always asked where there is a prior',
         choices=tuple(HYPOTHESIS_SOURCES),
     )
     correspondences: int = param(4, 'putative correspondences of each node or keypoint', low=1, high=50)
@@ -341,6 +343,14 @@ class NodeConfig(Checked):
         choices=('on_request', 'on_first_pair', 'on_new_source', 'on_every_pair'),
     )
     seed: int = param(0, 'seed of the random generator; the same clouds and seed give the same result', low=0)
+    initial: str = param('', 'JSON file of where the transform (tracking: sensor to map) is expected; no evidence')
+    initial_sigma: tuple[float, ...] = param(
+        (0.0, 15.0, 0.1),
+        "standard deviations of initial: place in target units (0: a fifth of the target's radius), degrees, relative "
+        'scale',
+        low=0.0,
+        high=1e6,
+    )
     publish_tf: bool = param(False, 'send the rigid part to /tf_static; TF cannot carry the scale')
     child_frame: str = param('', "frame of the scaled source; empty for the source's frame with _scaled appended")
     fixed_frame: str = param('', 'frame that accumulated clouds are moved into through TF; empty: they share a frame')
@@ -367,6 +377,11 @@ class NodeConfig(Checked):
     input_timeout: float = param(
         5.0, 'silence of an input after which the node warns and names the remedy', unit='s', low=0.5, high=3600.0
     )
+
+    def __post_init__(self):
+        super().__post_init__()
+        if len(self.initial_sigma) != 3:
+            raise ConfigError(f'initial_sigma must hold place, degrees and scale, not {list(self.initial_sigma)}')
 
 
 PAPER = {

@@ -14,7 +14,7 @@ from csgm_ros.attempts import Attempt, best_of, schedule
 from csgm_ros.cloud.prepare import finite_points, viewpoint
 from csgm_ros.cloud.smoothing import smoothed
 from csgm_ros.config import Config, profile, replaced
-from csgm_ros.errors import DegenerateCloudError, naming
+from csgm_ros.errors import DegenerateCloudError, InputError, naming
 from csgm_ros.graph.affinity import affinity
 from csgm_ros.graph.build import build
 from csgm_ros.matching.guided import match_guided
@@ -34,13 +34,14 @@ from csgm_ros.types import (
     MatchedGraphs,
     NearestGrid,
     NormalizedPair,
+    Prior,
     RegistrationResult,
     Similarity,
     Structure,
     StructureGraph,
     Verdict,
 )
-from csgm_ros.verification.decide import no_hypothesis
+from csgm_ros.verification.decide import NOT_EXPECTED, no_hypothesis
 from csgm_ros.verification.evidence import Evidence
 from csgm_ros.verification.view import View, Viewpoints
 
@@ -70,6 +71,7 @@ def register(
     details: bool = False,
     source_viewpoint: np.ndarray | None = None,
     target_viewpoint: np.ndarray | None = None,
+    prior: Prior | None = None,
 ) -> RegistrationResult:
     """Find the similarity that lays the source on the target, ``x_target = s R x_source + t``.
 
@@ -88,6 +90,9 @@ def register(
     source_viewpoint, target_viewpoint : (3,) ndarray, optional
         Where the one sensor of a cloud stood, in the cloud's own frame and unit: what it has looked through is empty,
         and a transform that puts points there is rejected.
+    prior : Prior, optional
+        Where the transform is expected. The search begins there and no answer lies beyond three sigma; it is no
+        evidence, so that a wrong one leads to no answer, not to a wrong one.
 
     Returns
     -------
@@ -97,12 +102,13 @@ def register(
     Raises
     ------
     InputError
-        A cloud that cannot be registered; the message names which one and why.
+        A cloud that cannot be registered, or a prior that is none; the message names which one and why.
     Cancelled
         Whatever ``on_progress`` raised.
     """
     config = config or profile()
     most, threads = config.preprocess.max_points, config.threads or os.cpu_count() or 1
+    config = config if prior is None else narrowed(config, prior)
     clouds = finite_points(source, NAMES[0], most, threads), finite_points(target, NAMES[1], most, threads)
     clock = Clock(on_progress, config.time_budget)
     clock.enter('scale normalization')
@@ -117,7 +123,8 @@ def register(
         clock.begin(number)
         try:
             rng = np.random.default_rng([seed, number] if number else seed)  # a stream of its own for each attempt
-            view, result = _attempt(pair, ladder, viewpoints, attempt, views, config, rng, clock, details)
+            expected = prior and _normalized(prior, pair)
+            view, result = _attempt(pair, ladder, viewpoints, expected, attempt, views, config, rng, clock, details)
         except DegenerateCloudError:
             if not results:
                 raise
@@ -134,6 +141,7 @@ def _attempt(
     pair: NormalizedPair,
     ladder: Ladder,
     viewpoints: Viewpoints,
+    prior: Prior | None,
     attempt: Attempt,
     views: dict[int, View],
     config: Config,
@@ -148,10 +156,12 @@ def _attempt(
     graphs = build(source, config.graph), build(target, config.graph)  # step 3
     clock.enter('graph matching')
     matched = _matched(*graphs, config, clock)  # step 4
-    structures = _structure_pair(source, target, matched, attempt, view, ladder, config)
+    structures = _structure_pair(source, target, matched, attempt, view, ladder, config, prior)
     clock.enter('transformation estimation')
     estimate = {'search': _searched, 'ransac': _ransac}[config.hypotheses.method]  # step 5
     best, verdict = estimate(structures, view, config, rng, clock)
+    if verdict.accepted and not _allowed(best, structures):
+        verdict = dataclasses.replace(verdict, accepted=False, reason=NOT_EXPECTED)
     result = _result(best, verdict, matched, view.pair, config)
     if details:
         result = dataclasses.replace(result, details=_details(best, structures, matched, view, config))
@@ -223,6 +233,7 @@ def _structure_pair(
     view: View,
     ladder: Ladder,
     config: Config,
+    prior: Prior | None,
 ) -> StructurePair:
     @cache
     def keypoints():
@@ -236,7 +247,7 @@ def _structure_pair(
     scales = search_range(*units, config.scale, part.scale_factor, attempt.relative)
     wide = search_range(*units, config.scale, part.plane_scale_factor)
     matches, node_affinity = matched.matching.pairs, matched.node_affinity
-    return StructurePair(source, target, matches, node_affinity, scales, keypoints, ladder, wide, found)
+    return StructurePair(source, target, matches, node_affinity, scales, keypoints, ladder, wide, found, prior)
 
 
 def _ransac(
@@ -267,33 +278,44 @@ def _searched(
     """Step 5 extended: many hypotheses, from one source after the other, verified from both sides."""
     best, verdict = Similarity.identity(), no_hypothesis()
     for _ in _candidates(config.hypotheses.sources, structures, view, config, rng, clock):
-        if view.measured:
-            evidence = _best(structures, view, config)
+        evidence = _best(structures, view, config) if view.measured else None
+        if evidence is not None:
             best, verdict = evidence.transform, view.judge(evidence)
+        elif view.measured:
+            verdict = no_hypothesis(NOT_EXPECTED)
         clock.report()
         if verdict.accepted or clock.expired:
             break
     return best, verdict
 
 
-def _best(structures: StructurePair, view: View, config: Config) -> Evidence:
+def _best(structures: StructurePair, view: View, config: Config) -> Evidence | None:
     """Return the best of all measured transforms, after the final ICP of the paper where that makes it better.
+
+    Of those that the prior allows, where there is one; None where it allows none.
 
     Once the clouds have been looked at in lengths of their structure, these say which is best: shares of the clouds and
     lengths relative to their radii cannot, where one is much larger.
     """
     ladder, scaled = structures.ladder, config.scale.estimate_scale and config.icp.estimate_scale
+    allowed = [evidence for evidence in view.measured if _allowed(evidence.transform, structures)]
+    if not allowed:
+        return None
     if ladder.finalists is None:
-        best = max(view.measured, key=lambda evidence: evidence.score)
+        best = max(allowed, key=lambda evidence: evidence.score)
     else:
-        scores = ladder.scores([evidence.transform.matrix for evidence in view.measured])
-        best = view.measured[int(np.argmax(scores))]
+        scores = ladder.scores([evidence.transform.matrix for evidence in allowed])
+        best = allowed[int(np.argmax(scores))]
     refined = view.measure(refine_best(best.transform, *view.surfaces, config, estimate_scale=scaled))
-    if refined.score <= best.score:
+    if refined.score <= best.score or not _allowed(refined.transform, structures):
         return best
     if ladder.finalists is not None and not ladder.alike(best.transform.matrix, refined.transform.matrix):
         return best  # the correspondence distances are too wide for what the clouds show
     return refined
+
+
+def _allowed(transform: Similarity, structures: StructurePair) -> bool:
+    return structures.prior is None or structures.prior.allows(transform, np.zeros(3))
 
 
 def _candidates(
@@ -306,7 +328,7 @@ def _candidates(
 ) -> Iterator[None]:
     """Propose, search, refine and measure; yield after the hypotheses of each source."""
     grids: tuple[NearestGrid, NearestGrid] | None = None
-    for name in sources:
+    for name in ('prior', *sources) if structures.prior else sources:
         hypotheses = propose(name, structures, config.hypotheses, rng)
         if name == 'planes':  # searched and refined already, in lengths of their own
             view.measured += map(view.measure, map(Similarity.from_matrix, hypotheses))
@@ -314,7 +336,39 @@ def _candidates(
             grids = grids or search_grids(structures, config.verification)
             finalists = search(hypotheses, *grids, config, rng, clock)
             view.measured += map(view.measure, refine_finalists(finalists, *view.surfaces, config))
-        yield
+        if name != 'prior':  # what it proposes is judged beside what another source does, as it is no evidence
+            yield
+
+
+def narrowed(config: Config, prior: Prior) -> Config:
+    """Return the configuration with the scales that a prior allows.
+
+    Raises
+    ------
+    InputError
+        For a prior that is none, or whose scale the configuration excludes.
+    """
+    transform, sigma = prior.transform, np.asarray(prior.sigma, float)
+    if not np.isfinite(transform.matrix).all() or transform.scale <= 0.0:
+        raise InputError('prior: its transform is no similarity; give T_target_source')
+    if sigma.shape != (3,) or not np.isfinite(sigma).all() or (sigma < 0.0).any():
+        raise InputError(f'prior: sigma is {prior.sigma}; give place, degrees and relative scale, none below 0')
+    factor = float(np.exp(3.0 * sigma[2]))
+    low, high = config.scale.bounds if config.scale.estimate_scale else (1.0, 1.0)
+    if not low / factor * (1 - 1e-6) <= transform.scale <= high * factor * (1 + 1e-6):
+        raise InputError(f'prior: its scale {transform.scale:g} is not among those configured, {low:g} to {high:g}')
+    if not config.scale.estimate_scale or config.scale.prior:
+        return config
+    values = {'scale.prior': float(transform.scale), 'scale.prior_factor': min(max(factor, 1.001), 1e6)}
+    return replaced(config, values)
+
+
+def _normalized(prior: Prior, pair: NormalizedPair) -> Prior:
+    """Return a prior between the normalised frames; a scale that is known exactly is not held to rounding errors."""
+    source, target = pair.normalizations
+    shift = prior.sigma[0] * target.scale or 0.2
+    transform = target @ prior.transform @ source.inverse()
+    return Prior(transform, (shift, max(prior.sigma[1], 1e-3), max(prior.sigma[2], 1e-6)))
 
 
 def _details(

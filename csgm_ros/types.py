@@ -556,12 +556,15 @@ class RegistrationResult:
 class Prior:
     """Where a transform is expected: it narrows the search and is no evidence.
 
+    Everything else competes with what lies near it all the same, and nothing far from it is an answer.
+
     Attributes
     ----------
     transform : Similarity
         ``x_target = scale * rotation @ x_source + translation``.
     sigma : tuple of float
-        Standard deviations of the place (target units), the direction (degrees) and the scale (relative).
+        Standard deviations of the place of the source's centre (target units; 0: a fifth of the target's radius), of
+        the direction (degrees) and of the scale (relative).
     """
 
     transform: Similarity

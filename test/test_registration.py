@@ -16,7 +16,7 @@ from csgm_ros.attempts import best_of
 from csgm_ros.config import replaced
 from csgm_ros.errors import Cancelled, DegenerateCloudError, InputError
 from csgm_ros.progress import STAGES
-from csgm_ros.types import Similarity
+from csgm_ros.types import Prior, Similarity
 
 ROOT = Path(__file__).parents[1]
 SOURCE, TARGET = room(1, 400), room(2, 400)
@@ -332,6 +332,60 @@ def test_clouds_of_one_scene_without_overlap_are_rejected():
 def test_a_cuboid_in_no_time_is_not_accepted_either():
     hurried = replaced(QUICK, {'time_budget': 1e-6})
     assert not register(shape('cuboid', 0), shape('cuboid', 1), hurried).accepted
+
+
+# ---- a prior
+
+LITTLE = replaced(QUICK, {'hypotheses.sources': ('graph',), 'hypotheses.trials': 200000, 'matching.search_effort': 1.0})
+AXIS_TURN = Similarity.from_quaternion(np.array([0.0, 0.0, 1.0, 1.0]), np.zeros(3))
+
+
+def near(transform, seed=0, sigma=(0.02, 3.0, 0.02)):
+    """A transform off by about one sigma, and the prior of it."""
+    rng = np.random.default_rng(seed)
+    turn = Similarity.from_quaternion(np.append(np.radians(sigma[1]) / 2 * rng.normal(size=3), 1.0), np.zeros(3))
+    shifted = Similarity(
+        transform.scale * (1 + sigma[2]), transform.rotation @ turn.rotation, transform.translation + sigma[0] / 2
+    )
+    return Prior(shifted, sigma)
+
+
+def test_a_prior_leads_to_the_same_answer():
+    target = TRUTH.apply(TARGET)
+    assert_right(register(SOURCE, target, LITTLE, prior=near(TRUTH)), TRUTH, SOURCE)
+
+
+WRONG_PRIORS = {
+    'turned': TRUTH @ AXIS_TURN,
+    'shifted': Similarity(TRUTH.scale, TRUTH.rotation, TRUTH.translation + 0.5 * radius(TRUTH.apply(TARGET))),
+    'of another scale': Similarity(1.5 * TRUTH.scale, TRUTH.rotation, TRUTH.translation),
+}
+
+
+@pytest.mark.parametrize('name', WRONG_PRIORS)
+def test_a_wrong_prior_leads_to_no_answer_however_sure_it_is(name):
+    prior = Prior(WRONG_PRIORS[name], (0.02 * radius(TARGET) * TRUTH.scale, 3.0, 0.02))
+    result = register(SOURCE, TRUTH.apply(TARGET), LITTLE, prior=prior)
+    assert not result.accepted, result.reason
+
+
+def test_a_prior_does_not_decide_between_transforms_that_fit_as_well():
+    source, target = shape('cuboid', 0), shape('cuboid', 1)
+    assert not register(source, target, LITTLE, prior=near(Similarity.identity())).accepted
+
+
+@pytest.mark.parametrize(
+    ('prior', 'says'),
+    [
+        (Prior(TRUTH, (1.0, 2.0)), 'sigma'),
+        (Prior(TRUTH, (-1.0, 2.0, 0.1)), 'sigma'),
+        (Prior(Similarity(np.nan, np.eye(3), np.zeros(3)), (1.0, 1.0, 1.0)), 'similarity'),
+        (Prior(Similarity(1e9, np.eye(3), np.zeros(3)), (1.0, 1.0, 0.1)), 'scale'),
+    ],
+)
+def test_what_is_no_prior_is_refused(prior, says):
+    with pytest.raises(InputError, match=f'prior.*{says}'):
+        register(SOURCE, TARGET, prior=prior)
 
 
 # ---- wrong and extreme input

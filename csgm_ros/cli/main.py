@@ -74,6 +74,14 @@ def _add_register(commands) -> None:
     parser.add_argument('--config', metavar='F', help='YAML file of parameters; see `csgm config`')
     parser.add_argument('--set', metavar='NAME=VALUE', action='append', default=[], help='one parameter; repeatable')
     parser.add_argument('--seed', type=_seed, default=0, metavar='N', help='default: 0')
+    parser.add_argument('--initial', metavar='F', help='JSON of where it is expected: T_target_source, 4 x 4')
+    parser.add_argument(
+        '--initial-sigma',
+        metavar=('PLACE', 'DEGREES', 'SCALE'),
+        nargs=3,
+        type=float,
+        help='how well: target units (0: a fifth of the radius), degrees, relative; default: 0 15 0.1',
+    )
     parser.add_argument('--output', metavar='F', help='write the fused cloud, in the frame of the target')
     parser.add_argument('--json', metavar='F', help='write the result for programs')
     parser.add_argument('--report', metavar='F', help='write one .html page that shows the result and why')
@@ -160,6 +168,7 @@ def _register(options) -> int:
         files.check_writable(options.report, ('.html',))
     if options.picture:
         files.check_writable(options.picture, ('.png',))
+    prior = _prior(options)
     source, target = _clouds(options, config)
     for name, cloud in (('source', source), ('target', target)):
         _say_left_out(name, cloud.points)
@@ -169,9 +178,8 @@ def _register(options) -> int:
     try:
         with report.ProgressBar() as progress:
             shown = bool(options.report)
-            result = register(
-                source.points, target.points, config, seed=options.seed, on_progress=progress, details=shown
-            )
+            asked = {'seed': options.seed, 'on_progress': progress, 'details': shown, 'prior': prior}
+            result = register(source.points, target.points, config, **asked)
     except InputError as error:
         where = options.bag or f'source {options.source}, target {options.target}'
         raise InputError(f'{error} ({where})') from None
@@ -184,6 +192,19 @@ def _register(options) -> int:
     elif options.output:
         print(f'csgm: {options.output} is not written, as the result is rejected', file=sys.stderr)
     return ACCEPTED if result.accepted else REJECTED
+
+
+def _prior(options):
+    """Return what --initial and --initial-sigma say, None where they say nothing."""
+    from csgm_ros.config import NodeConfig
+    from csgm_ros.io.transforms import read_result
+    from csgm_ros.types import Prior
+
+    if not options.initial:
+        if options.initial_sigma:
+            raise InputError('--initial-sigma needs --initial, which says what is that uncertain')
+        return None
+    return Prior(read_result(options.initial)[0], tuple(options.initial_sigma or NodeConfig().initial_sigma))
 
 
 def _say_left_out(name: str, points) -> None:

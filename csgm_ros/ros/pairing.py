@@ -95,9 +95,12 @@ class Pairing:
         for cloud_input, messages in ((self._source, source), (self._target, target)):
             if not messages:
                 return f'no cloud on {cloud_input.topic} yet ({cloud_input.explanation})'
-        return Request(
-            source, target, config, settings.seed, settings.window_voxel, self._placing(settings.fixed_frame)
-        )
+        try:
+            prior = self._settings.prior
+        except InputError as error:
+            return str(error)
+        place = self._placing(settings.fixed_frame)
+        return Request(source, target, config, settings.seed, settings.window_voxel, place, prior)
 
     def _placing(self, fixed: str) -> Callable[[Cloud], Cloud] | None:
         """Return what moves a cloud into the fixed frame, None where there is none."""

@@ -13,6 +13,8 @@ from rclpy.parameter import Parameter
 from csgm_ros import config as configuration
 from csgm_ros.config import Config, NodeConfig
 from csgm_ros.errors import ConfigError
+from csgm_ros.io.transforms import read_result
+from csgm_ros.types import Prior
 
 READ_ONLY = ('profile', 'mode', 'autostart', 'diagnostics_period')
 INT64 = 2**63 - 1
@@ -89,6 +91,21 @@ class Parameters:
     def node_config(self) -> NodeConfig:
         """What the node itself uses."""
         return self.current[1]
+
+    @property
+    def prior(self) -> Prior | None:
+        """Where the transform is expected, None where the parameters do not say.
+
+        Raises
+        ------
+        InputError
+            For a file that holds no transform.
+        """
+        settings = self.node_config
+        if not settings.initial:
+            return None
+        place, angle, scale = settings.initial_sigma
+        return Prior(read_result(settings.initial)[0], (place, angle, scale))
 
     def _declare(self, name: str, spec: Field, value: Any) -> None:
         described = descriptor(name, spec, value)

@@ -21,7 +21,7 @@ from csgm_ros.errors import Cancelled, CsgmError, InputError
 from csgm_ros.io.pointcloud2 import decode
 from csgm_ros.ros.lifecycle import guarded
 from csgm_ros.ros.worker import Job, Worker
-from csgm_ros.types import Cloud, RegistrationResult
+from csgm_ros.types import Cloud, Prior, RegistrationResult
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,7 @@ class Request:
     seed: int
     window_voxel: float
     place: Callable[[Cloud], Cloud] | None = None  # moves a cloud that will be merged into the fixed frame
+    prior: Prior | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +173,8 @@ def run(request: Request, progress: Callable[[str, float], None]) -> Outcome:
     progress('decode', 0.0)
     source, target = (cloud_of(request, name) for name in ('source', 'target'))
     decode_seconds = time.perf_counter() - started
-    result = csgm_ros.register(source.points, target.points, request.config, seed=request.seed, on_progress=progress)
+    asked = {'seed': request.seed, 'on_progress': progress, 'prior': request.prior}
+    result = csgm_ros.register(source.points, target.points, request.config, **asked)
     return Outcome(result, source, target, decode_seconds)
 
 

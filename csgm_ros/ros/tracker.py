@@ -20,7 +20,7 @@ from csgm_ros.ros.lifecycle import guarded
 from csgm_ros.ros.worker import Job, Worker
 from csgm_ros.tracking.maps import PreparedMap, prepare_map
 from csgm_ros.tracking.session import Session
-from csgm_ros.types import Estimate, Similarity
+from csgm_ros.types import Estimate, Prior, Similarity
 
 RECENT = 50  # frames that rate and latency are told of
 SPAN = 5.0  # seconds that the rate is told of
@@ -149,12 +149,14 @@ class Tracker:
             self._asked.append(request)
             return True
 
-    def submit(self, message: PointCloud2, config: Config, seed: int, odometry: Odometry) -> None:
-        """Take a frame in place of one that still waits."""
+    def submit(
+        self, message: PointCloud2, config: Config, seed: int, odometry: Odometry, prior: Prior | None = None
+    ) -> None:
+        """Take a frame in place of one that still waits; ``prior`` is for the first one in a map."""
         came = time.monotonic()
 
         def work(_) -> Tracked | None:
-            return self._track(message, config, seed, odometry)
+            return self._track(message, config, seed, odometry, prior)
 
         def deliver(job: Job) -> None:
             self._deliver(job, came)
@@ -164,8 +166,10 @@ class Tracker:
         if before is not None and isinstance(before.error, Cancelled):
             self._note_dropped()
 
-    def _track(self, message: PointCloud2, config: Config, seed: int, odometry: Odometry) -> Tracked | None:
-        self._take_map(config, seed)
+    def _track(
+        self, message: PointCloud2, config: Config, seed: int, odometry: Odometry, prior: Prior | None
+    ) -> Tracked | None:
+        self._take_map(config, seed, prior)
         with self._lock:
             session, asked, self._asked = self._session, self._asked, []
         if session is None:
@@ -179,7 +183,7 @@ class Tracker:
         estimate = session.add(cloud.points, cloud.stamp / 1e9, odometry=pose)
         return Tracked(estimate, cloud.frame_id, cloud.stamp, self._map_frame, moved)
 
-    def _take_map(self, config: Config, seed: int) -> None:
+    def _take_map(self, config: Config, seed: int, prior: Prior | None) -> None:
         with self._lock:
             news, self._new_map, old, executor = self._new_map, None, self._session, self._executor
         if news is None or executor is None:
@@ -188,6 +192,8 @@ class Tracker:
         if old is not None:
             old.close()
         session = Session(prepared, config, seed=seed, executor=executor)
+        if prior is not None:
+            session.relocalize(prior)
         with self._lock:
             self._session, self._map_frame = session, news[1]
         self._on_map(prepared, news[1])

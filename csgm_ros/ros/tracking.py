@@ -39,6 +39,7 @@ class Tracking:
         self._file: PreparedMap | None = None
         self._outputs: Poses | None = None
         self._initial: Subscription | None = None
+        self._prior: Prior | None = None
         self._complaint = ''
         node.create_service(Trigger, '~/relocalize', answering(self._on_relocalize, node))
 
@@ -54,6 +55,7 @@ class Tracking:
         """Read the map where it is a file, compile the kernels and create the outputs."""
         path = self._settings.node_config.map_file
         self._file = read_map(Path(path)) if path else None
+        self._prior = self._settings.prior
         warm_up_once()
         self._outputs = Poses(self._node)
 
@@ -112,7 +114,7 @@ class Tracking:
         messages = self._points.messages
         if messages and self._node.state == 'active':
             settings = self._settings.node_config
-            self._tracker.submit(messages[-1], self._settings.config, settings.seed, self._odometry)
+            self._tracker.submit(messages[-1], self._settings.config, settings.seed, self._odometry, self._prior)
 
     def _odometry(self, sensor: str, stamp: int) -> Similarity | None:
         """Return where TF has the sensor in the odometry's frame, None where it does not tell."""

@@ -12,7 +12,7 @@ from csgm_ros.errors import Cancelled
 from csgm_ros.registration import register
 from csgm_ros.tracking.localization import Localizer, Place, Submap, scale_of, scaling
 from csgm_ros.tracking.maps import PreparedMap
-from csgm_ros.types import Prior
+from csgm_ros.types import Prior, Similarity
 
 TURNS = 700  # tried about a pose that is roughly known: with 90 degrees of freedom, 15 to 20 degrees apart
 SIGMA = 1.0, 45.0, 0.05  # of a sensor that was lost where it was last seen: metres, degrees, relative scale
@@ -67,12 +67,24 @@ def search(
             return Found(near[0].matrix, 'near where it was expected')
     points = query.submap.levels[0].points * (query.scale if known else 1.0)
     config = replaced(config, {'scale.estimate_scale': not known})
-    result = register(points, prepared.points, config, seed=seed, on_progress=progress)
+    for prior in (None,) if known or query.prior is None else (of_submap(query), None):
+        result = register(points, prepared.points, config, seed=seed, on_progress=progress, prior=prior)
+        if result.accepted:
+            break
     matrix = result.T_target_source @ scaling(1.0 if query.scale is None else query.scale, np.zeros(3))
     best = localizer.best(matrix[None], fixed_scale=known)
     if best and (result.accepted or _enough(best[0], query)):
         return Found(best[0].matrix, result.reason if result.accepted else 'as close as where it was tracked')
     return Found(None, result.reason)
+
+
+def of_submap(query: Query) -> Prior:
+    """Return what the prior of the sensor says of the submap: of its centre, which turns about the sensor."""
+    assert query.prior is not None
+    sensor, (shift, angle, growth) = Similarity.from_matrix(query.sensor), query.prior.sigma
+    transform = query.prior.transform @ sensor.inverse()
+    arm = np.linalg.norm(query.submap.levels[-1].points.mean(0) - sensor.translation)
+    return Prior(transform, (shift + np.radians(angle) * arm * transform.scale, angle, growth))
 
 
 def around(query: Query, rng: np.random.Generator) -> np.ndarray:
@@ -93,8 +105,6 @@ def around(query: Query, rng: np.random.Generator) -> np.ndarray:
 
 def expected(matrix: np.ndarray) -> Prior:
     """Return the prior of a sensor that was last seen at a pose (4, 4) in the map."""
-    from csgm_ros.types import Similarity
-
     return Prior(Similarity.from_matrix(matrix), (SIGMA[0] * scale_of(matrix), *SIGMA[1:]))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from csgm_ros.config import HYPOTHESIS_SOURCES, HypothesesConfig
 from csgm_ros.schema import implementation
 from csgm_ros.transform.ladder import Ladder
-from csgm_ros.types import Structure
+from csgm_ros.types import Prior, Structure
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +40,8 @@ class StructurePair:
         As ``scales``, for sources that do not need the clouds to be about equally large.
     found : callable
         Returns the (F, 4, 4) finalists of other sources so far.
+    prior : Prior or None
+        Where the transform is expected, between the normalised frames.
     """
 
     source: Structure
@@ -51,6 +53,7 @@ class StructurePair:
     ladder: Ladder
     wide_scales: tuple[float, float]
     found: Callable[[], np.ndarray]
+    prior: Prior | None = None
 
 
 def propose(name: str, pair: StructurePair, config: HypothesesConfig, rng: np.random.Generator) -> np.ndarray:

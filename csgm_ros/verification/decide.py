@@ -208,7 +208,10 @@ def within_bounds(verdict: Verdict, scale: float, bounds: ScaleConfig) -> Verdic
     return replace(verdict, accepted=False, reason=reason, confidence=0.0)
 
 
-def no_hypothesis() -> Verdict:
+NO_HYPOTHESIS = 'no hypothesis: no three correspondences keep their mutual distances and angles in both clouds'
+NOT_EXPECTED = 'nothing that fits lies near the prior; check it, widen its sigma, or leave it out'
+
+
+def no_hypothesis(reason: str = NO_HYPOTHESIS) -> Verdict:
     """Return the verdict where no transform was proposed."""
-    reason = 'no hypothesis: no three correspondences keep their mutual distances and angles in both clouds'
     return Verdict(False, reason, 0.0, 0.0, float('inf'), 0.0)

@@ -11,7 +11,7 @@ import termios
 import numpy as np
 import pytest
 
-from csgm_ros.cli.main import main
+from csgm_ros.cli.main import _parser, _prior, main
 from csgm_ros.config import flatten, profile, replaced
 from csgm_ros.demo.simulation import recording, simulate
 from csgm_ros.io.files import read_cloud, write_cloud
@@ -64,6 +64,19 @@ def test_register_accepts_the_pair_near_its_truth(pair, registered):
     assert found['rotation_deg'] < 2
     assert found['scale_percent'] < 2
     assert found['mean_displacement'] < 0.05
+
+
+def test_what_is_expected_is_read_and_what_is_not_is_said(pair, tmp_path, capsys):
+    files, initial = list(map(str, pair[:2])), tmp_path / 'initial.json'
+    initial.write_text(json.dumps({'T_target_source': pair[2].truth.matrix.tolist()}))
+    options = _parser().parse_args(['register', *files, '--initial', str(initial)])
+    assert _prior(options).sigma == (0.0, 15.0, 0.1)
+    assert np.allclose(_prior(options).transform.matrix, pair[2].truth.matrix)
+    assert main(['register', *files, '--initial-sigma', '1', '2', '0.1']) == 2
+    assert main(['register', *files, '--initial', str(tmp_path / 'none.json')]) == 2
+    assert main(['register', *files, '--initial', str(initial), '--initial-sigma', '1', '2', '-1']) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert ['--initial' in said[0], 'none.json' in said[1], 'sigma' in said[2]] == [True] * 3
 
 
 def test_the_json_holds_the_promised_keys(registered):
@@ -194,7 +207,7 @@ def test_every_command_has_help(name):
 
 def test_help_loads_nothing_heavy():
     script = (
-        'import sys; from csgm_ros.cli.main import main\ntry: main(["--help"])\nexcept SystemExit: pass\n'
+        'import sys; from csgm_ros.cli.main import _parser, _prior, main\ntry: main(["--help"])\nexcept SystemExit: pass\n'
         'print([m for m in ("numpy", "scipy", "numba", "open3d", "rclpy") if m in sys.modules])'
     )
     assert subprocess.check_output([sys.executable, '-c', script], text=True).strip().endswith('[]')
