@@ -207,7 +207,7 @@ def test_every_command_has_help(name):
 
 def test_help_loads_nothing_heavy():
     script = (
-        'import sys; from csgm_ros.cli.main import _parser, _prior, main\ntry: main(["--help"])\nexcept SystemExit: pass\n'
+        'import sys; from csgm_ros.cli.main import main\ntry: main(["--help"])\nexcept SystemExit: pass\n'
         'print([m for m in ("numpy", "scipy", "numba", "open3d", "rclpy") if m in sys.modules])'
     )
     assert subprocess.check_output([sys.executable, '-c', script], text=True).strip().endswith('[]')

@@ -14,7 +14,7 @@ from csgm_ros.structure.keypoints import describe_keypoints
 from csgm_ros.transform import graph_source, local_source
 from csgm_ros.transform.ladder import Ladder
 from csgm_ros.transform.sources import StructurePair, propose
-from csgm_ros.types import Similarity
+from csgm_ros.types import Prior, Similarity
 
 CONFIG = profile()
 
@@ -38,6 +38,7 @@ def pair():
         Ladder(*map(unit.apply, clouds), 0),
         (0.5, 2.0),
         lambda: np.empty((0, 4, 4)),
+        Prior(Similarity(1.1, np.eye(3), np.array((0.1, 0.1, 0.0))), (0.1, 5.0, 0.1)),
     )
 
 
