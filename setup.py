@@ -73,7 +73,7 @@ setup(
         'ros': ROS,
         'formats': FORMATS,
         'batch': BATCH,
-        'test': ['pytest', 'pytest-timeout', 'hypothesis', 'selenium', *FORMATS, *BATCH],
+        'test': ['pytest', 'pytest-timeout', 'pytest-xdist', 'hypothesis', 'selenium', *FORMATS, *BATCH],
         'fuzz': ['atheris'],
         'peers': ['kiss-matcher', 'small-gicp', 'pycpd', 'jrmpc'],
         'dev': [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from csgm_ros.cloud.surface_variation import surface_variation
 from csgm_ros.cloud.voxels import voxelized
@@ -72,6 +71,8 @@ def without_uniform_outliers(points: np.ndarray) -> np.ndarray:
 
 def _spacing(points: np.ndarray, voxel: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Voxel means (V, 3), the distance of each to its 10th neighbour (V,), and the voxel of every point (N,)."""
+    from scipy.spatial import cKDTree
+
     distances = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     # not the largest distance: one outlier would make the voxels larger than the cloud
     size = voxel * 1.2 * float(np.quantile(distances, 0.98))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from csgm_ros.cloud.kernels import kernel
 from csgm_ros.cloud.normals import axes_of
@@ -43,6 +42,8 @@ def fit_planes(points: np.ndarray, neighbors: int, places: np.ndarray) -> Planes
         Nearest points that a plane is fitted to.
     places : (P, 3) ndarray
     """
+    from scipy.spatial import cKDTree
+
     count = min(neighbors, len(points))
     _, near = cKDTree(points).query(places, k=count)
     means, covariances = _moments(np.ascontiguousarray(points, float), near.reshape(len(places), count))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from csgm_ros.errors import InputError
 
@@ -31,6 +30,8 @@ def affinity(first: np.ndarray, second: np.ndarray, similarity: str, sigma: floa
     them; what is meant must be their complement. The Gaussian of the robust profile does not depend on the one
     largest distance.
     """
+    from scipy.spatial.distance import cdist
+
     distances = cdist(first, second)
     if not np.isfinite(distances).all():
         raise InputError('descriptors that are not finite have no similarity')

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from csgm_ros.cloud.voxels import voxel_means
 from csgm_ros.structure.fpfh import fpfh
@@ -36,6 +35,8 @@ def describe_keypoints(surface: PreparedCloud, radius: float) -> Keypoints:
     Each keypoint has the normal of the nearest surface point, turned away from the centroid: FPFH needs a sign, and
     two sensors share no viewpoint.
     """
+    from scipy.spatial import cKDTree
+
     points = voxel_means(surface.points, SPACING * radius)
     _, nearest = cKDTree(surface.points).query(points)
     normals = surface.normals[nearest]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from csgm_ros.cloud.kernels import kernel
 from csgm_ros.cloud.normals import axes_of, plane_normals, products
@@ -150,6 +149,8 @@ def _seeds(grid: VoxelGrid, spacing: float) -> np.ndarray:
 
     A corner of the lattice is at the first voxel in Morton order, as in PCL.
     """
+    from scipy.spatial import cKDTree
+
     corner = grid.centroids[first_in_morton_order(grid.keys)]
     # That voxel belongs above the corner, whatever the rounding.
     origin = corner - spacing * (np.ceil((corner - grid.centroids.min(0)) / spacing) + 1 + 1e-6)

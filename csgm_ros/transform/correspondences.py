@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 
 class Correspondences(NamedTuple):
@@ -40,6 +39,8 @@ def nearest_both_ways(source: np.ndarray, target: np.ndarray, count: int) -> np.
 
 
 def _nearest(features: np.ndarray, others: np.ndarray, count: int) -> np.ndarray:
+    from scipy.spatial import cKDTree
+
     count = min(count, len(others))
     _, nearest = cKDTree(others).query(features, k=count)
     return np.column_stack([np.repeat(np.arange(len(features)), count), np.reshape(nearest, -1)])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from csgm_ros.cloud import nearest_grid
 from csgm_ros.cloud.prepare import prepare
@@ -18,6 +17,8 @@ MAX_GAP = 2.0  # inlier distances; farther from its points a surface may be anyw
 
 def surface(points: np.ndarray, normalization: Similarity, config: Config, rng: np.random.Generator) -> Surface:
     """Sample a cloud of (N, 3) points in its own unit; ``rng`` draws the points that are measured."""
+    from scipy.spatial import cKDTree
+
     part, neighbors = config.verification, config.preprocess.normal_neighbors
     cloud = prepare(points, normalization, part.fine_voxel_size, neighbors)
     tree = cKDTree(cloud.points)

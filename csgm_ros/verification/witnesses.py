@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from csgm_ros.cloud import nearest_grid
 from csgm_ros.cloud.kernels import kernel
@@ -108,6 +107,8 @@ def witnesses(
 
 
 def _spacing(points, normals, some, neighbors: int, cell: float) -> tuple[float, float]:
+    from scipy.spatial import cKDTree
+
     near = min(neighbors, len(points))
     distances, index = cKDTree(points).query(points[some], k=[2, min(5, near), near])
     angles = np.degrees(np.arccos(np.minimum(1.0, np.abs(np.einsum('sd,skd->sk', normals[some], normals[index])))))
