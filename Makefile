@@ -12,12 +12,13 @@ TF2 := $(if $(wildcard test/build_tf2_msgs.sh),$(VENV)/.tf2_msgs)
 # A sourced ROS install must not mix with the wheels of the virtual environment.
 unexport PYTHONPATH PYTHONHOME AMENT_PREFIX_PATH LD_LIBRARY_PATH RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup demo test lint bench soak config lock licences clean
+.PHONY: help setup demo test lint docs bench soak config lock licences clean
 
 help:
 	@echo 'make demo    the live node registers a simulated Kinect and a simulated SfM cloud'
 	@echo 'make test    every test (TESTS=test/test_files.py for some)'
-	@echo 'make lint    style, format, docstrings, types'
+	@echo 'make lint    style, format, docstrings, types, docs'
+	@echo 'make docs    build/docs/index.html by Sphinx'
 	@echo 'make bench   measured figures, with their references beside them (hours; ARGS=--quick for minutes)'
 	@echo 'make soak    the node under load for 20 minutes (ARGS="--minutes 5"): nothing may grow'
 	@echo 'make licences  what an installation is made of (ARGS=--json for a CycloneDX bill of materials)'
@@ -40,10 +41,13 @@ demo: $(READY)
 test: $(READY) $(TF2)
 	@$(PY) -m pytest $(TESTS)
 
-lint: $(READY)
+lint: $(READY) docs
 	@$(PY) -m ruff check . && $(PY) -m ruff format --check .
 	@$(PY) -m numpydoc.hooks.validate_docstrings $$(git ls-files 'csgm_ros/*.py')
 	@$(PY) -m mypy csgm_ros
+
+docs: $(READY)
+	@$(PY) -m sphinx -W --keep-going -q -b html docs build/docs
 
 bench: $(READY)
 	@set -e; for script in $$(grep -l __main__ $(BENCH)/*.py); do echo "== $$script"; $(PY) "$$script" $(ARGS); done

@@ -37,6 +37,9 @@ FORMATS = ['laspy>=2.5', 'lazrs>=0.6', 'trimesh>=4']
 # Many pairs on many machines; Bokeh draws Dask's dashboard.
 BATCH = ['distributed>=2024.1', 'pyarrow>=15', 'bokeh>=3.1']
 
+# What builds docs/.
+DOCS = ['sphinx>=7', 'numpydoc']
+
 setup(
     name=NAME,
     version='0.1.0',
@@ -74,12 +77,13 @@ setup(
         'formats': FORMATS,
         'batch': BATCH,
         'test': ['pytest', 'pytest-timeout', 'pytest-xdist', 'hypothesis', 'selenium', *FORMATS, *BATCH],
+        'docs': DOCS,
         'fuzz': ['atheris'],
         'peers': ['kiss-matcher', 'small-gicp', 'pycpd', 'jrmpc'],
         'dev': [
             'ruff',
             'mypy',
-            'numpydoc',
+            *DOCS,
             'colcon-common-extensions',
             'setuptools<80',
             *INTERFACE_BUILD,
