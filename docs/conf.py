@@ -8,7 +8,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 project = 'csgm_ros'
-author = copyright = 'csgm_ros maintainers'  # noqa: A001 - the name that Sphinx reads
+author = copyright = 'csgm_ros maintainers'
 release = version = re.search(r"version='(.*?)'", (ROOT / 'setup.py').read_text())[1]
 extensions = ['sphinx.ext.autodoc', 'sphinx.ext.mathjax', 'numpydoc']
 autodoc_member_order = 'bysource'

@@ -1,7 +1,7 @@
 """Make the pictures of the method's page from a real pair: `python docs/make_pictures.py PAIR`.
 
-PAIR is a folder with source.ply, target.ply and gt.json. The published ones are of the pair `bin_shelf` of the APC vision
-toolbox (BSD-style licence), photos against a depth camera, with the scale given.
+PAIR is a folder with source.ply, target.ply and gt.json. The published ones are of the pair `bin_shelf` of the APC
+vision toolbox (BSD-style licence), photos against a depth camera, with the scale given.
 """
 
 import argparse
@@ -19,8 +19,8 @@ from csgm_ros.config import profile, replaced
 from csgm_ros.io.files import CloudFile, read_cloud
 from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT
 from csgm_ros.types import Similarity
-from csgm_ros.visual.pictures import draw, turned
-from csgm_ros.visual.scene import COLORS, palette
+from csgm_ros.visual.pictures import draw, palette, turned
+from csgm_ros.visual.scene import COLORS
 from csgm_ros.visual.slices import principal_axes, slices
 
 OUT = Path(__file__).parent / 'pictures'
@@ -39,7 +39,8 @@ def main():
     config = replaced(profile(), {'scale.estimate_scale': False})
     result = csgm_ros.register(source.points, target.points, config, details=True)
     print(f'{"accepted" if result.accepted else "rejected"}: {result.reason}')
-    print(f'{np.linalg.norm(result.transform.apply(source.points) - _rigid(truth)(source.points), axis=1).mean():.3f} m off')
+    off = result.transform.apply(source.points) - _rigid(truth)(source.points)
+    print(f'{np.linalg.norm(off, axis=1).mean():.3f} m off')
     graphs = result.source_graph, result.target_graph
     for graph, inliers, matches in (
         ('guided', result.match_inliers, result.matches),
@@ -87,7 +88,9 @@ def dots(points, colors, view):
     spread = np.repeat(points, 9, axis=0)
     step = 0.004 * np.ptp(points @ view.T, axis=0).max()
     offsets = np.array([[x, y, 0.0] for x in (-1, 0, 1) for y in (-1, 0, 1)]) * step
-    return draw([CloudFile(spread + np.tile(offsets @ view, (len(points), 1)), np.repeat(colors, 9, axis=0))], view, SIZE)
+    return draw(
+        [CloudFile(spread + np.tile(offsets @ view, (len(points), 1)), np.repeat(colors, 9, axis=0))], view, SIZE
+    )
 
 
 def with_graphs(shown, graphs, view, result):
@@ -110,7 +113,7 @@ def with_graphs(shown, graphs, view, result):
             zip(clouds, nodes, graphs, (SOURCE_TINT, TARGET_TINT), strict=True)
         ):
             at = np.array([1.15 * width * k, 0.0]) - cloud[:, :2].mean(axis=0)
-            points = points[:, :2] + at  # noqa: PLW2901 - in the picture
+            points = points[:, :2] + at
             placed.append(points)
             axis.add_collection(LineCollection(points[np.sort(graph.edges, axis=1)], colors=[(*tint, 0.25)], lw=0.6))
             axis.scatter(*points.T, s=5, color=tint)

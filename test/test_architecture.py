@@ -20,7 +20,7 @@ ROOMS = {
     'visual': {'io'},
     'demo': {'io', 'visual', 'ros'},
     'ros': {'registration', 'io', 'tracking'},
-    'cli': {'registration', 'io', 'visual', 'demo', 'tracking', 'batch'},
+    'cli': {'registration', 'scale', 'structure', 'io', 'visual', 'demo', 'tracking', 'batch'},
     'tracking': {'registration', 'io'},
     'batch': {'registration', 'io', 'visual'},
     'launch': set(),

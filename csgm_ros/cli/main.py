@@ -7,7 +7,7 @@ import os
 import sys
 from importlib import import_module
 
-from csgm_ros.errors import CsgmError, InputError
+from csgm_ros.errors import CsgmError, DegenerateCloudError, InputError
 
 ACCEPTED, BAD_INPUT, REJECTED, INTERRUPTED = 0, 2, 3, 130
 EPILOG = """\
@@ -46,6 +46,9 @@ def main(arguments: list[str] | None = None) -> int:
     except CsgmError as error:
         print(f'csgm: {error}', file=sys.stderr)
         return BAD_INPUT
+    except BrokenPipeError:  # the reader of our output has seen enough, as `head` has
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return INTERRUPTED
     except KeyboardInterrupt:
         print('csgm: interrupted', file=sys.stderr)
         return INTERRUPTED
@@ -127,8 +130,9 @@ def _add_demo(commands) -> None:
 
 
 def _add_inspect(commands) -> None:
-    parser = commands.add_parser('inspect', help='size and density of a cloud, and values that suit it')
-    parser.add_argument('file')
+    parser = commands.add_parser('inspect', help='what a cloud is like, parameters that suit it, what to expect of two')
+    parser.add_argument('files', metavar='FILE', nargs='+')
+    parser.add_argument('--picture', metavar='F', help='write a .png of the supervoxels')
     parser.set_defaults(run=_inspect)
 
 
@@ -321,10 +325,25 @@ def _demo(options) -> int:
 
 
 def _inspect(options) -> int:
-    from csgm_ros.cli.inspect import inspect
-    from csgm_ros.io.files import read_cloud
+    from csgm_ros.cli.inspect import description, expectation, inspect
+    from csgm_ros.io.files import check_writable, read_cloud
 
-    print(inspect(read_cloud(options.file).points))
+    if options.picture:
+        check_writable(options.picture, ('.png',))
+    found = []
+    for path in options.files:
+        try:
+            found.append(inspect(read_cloud(path).points))
+        except DegenerateCloudError as error:
+            raise InputError(f'{error} ({path})') from None
+        heading = '' if len(options.files) == 1 else f'{path}\n'
+        print(f'{heading}{description(found[-1])}', end='\n' if len(options.files) == 1 else '\n\n')
+    if len(found) == 2:
+        print(f'{options.files[0]} on {options.files[1]}\n{expectation(*found)}')
+    if options.picture:
+        from csgm_ros.visual.pictures import supervoxels
+
+        supervoxels(options.picture, dict(zip(options.files, (one.supervoxels for one in found), strict=True)))
     return 0
 
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import colorsys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from csgm_ros.io.atomic import replacing
 from csgm_ros.io.cloud_file import CloudFile
 from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT
-from csgm_ros.types import Similarity
-from csgm_ros.visual.slices import slices
+from csgm_ros.types import Similarity, Supervoxels
+from csgm_ros.visual.slices import principal_axes, slices
 
 # Rows: what a view shows to the right, downwards and away from the eye, in the target's optical frame.
 FRONT = np.eye(3)
@@ -34,12 +35,6 @@ def before_after(path: str | Path, source: CloudFile, target: CloudFile, transfo
     caption : str
         One line under the picture.
     """
-    import matplotlib
-
-    matplotlib.use('Agg')
-    from matplotlib import pyplot
-    from PIL import Image
-
     source, target = _finite(source), _finite(target)
     moved = CloudFile(transform.apply(source.points), source.colors)
     tinted = [_tinted(target, TARGET_TINT), _tinted(moved, SOURCE_TINT)]
@@ -55,17 +50,74 @@ def before_after(path: str | Path, source: CloudFile, target: CloudFile, transfo
     ]
     drawn = [(title, draw(clouds, view)) for title, clouds, view in panels]
     drawn += [(f'{title}: dark where both are', pixels) for title, pixels in slices(moved.points, target.points)]
-    figure, axes = pyplot.subplots(3, 3, figsize=(15, 14.2), dpi=80, facecolor='white')
-    for axis, (title, pixels) in zip(axes.ravel(), drawn, strict=True):
+    _write(path, drawn, 3, caption)
+
+
+def supervoxels(path: str | Path, clouds: Mapping[str, Supervoxels | None]) -> None:
+    """Draw clouds in the colours of their supervoxels, grey where there is none.
+
+    Parameters
+    ----------
+    path : str or Path
+        A .png to write.
+    clouds : mapping of str to Supervoxels or None
+        By title; None where a cloud has too little structure.
+    """
+    drawn = []
+    for name, cloud in clouds.items():
+        if cloud is None:
+            drawn.append((f'{name}: too little structure', np.ones((430, 560, 3))))
+            continue
+        hues = palette(max(len(cloud), 1))
+        colors = np.where(cloud.voxel_labels[:, None] < 0, 0.8, hues[cloud.voxel_labels])
+        drawn.append((f'{name}: {len(cloud)} supervoxels', draw([_enlarged(cloud.voxel_points, colors)], _view(cloud))))
+    _write(path, drawn, min(len(drawn), 3), 'each colour is a supervoxel, a node of the graph')
+
+
+def palette(count: int) -> np.ndarray:
+    """Return (count, 3) colours of which neighbours in order are far apart in hue."""
+    turns = np.arange(count) * 0.6180339887
+    return np.array(
+        [
+            colorsys.hsv_to_rgb(turn % 1.0, 0.45 + 0.4 * (k % 3) / 2, 0.95 - 0.3 * (k % 2))
+            for k, turn in enumerate(turns)
+        ]
+    )
+
+
+def _view(cloud: Supervoxels) -> np.ndarray:
+    """Look at a cloud of any pose across its longest axes."""
+    return turned(principal_axes(cloud.voxel_points), 25, 25)
+
+
+def _enlarged(points: np.ndarray, colors: np.ndarray) -> CloudFile:
+    """Draw the few points of voxels as large ones."""
+    steps = np.linspace(-0.012, 0.012, 3)
+    offsets = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+    return CloudFile((points[:, None] + offsets).reshape(-1, 3), np.repeat(colors, len(offsets), axis=0))
+
+
+def _write(path: str | Path, drawn: list[tuple[str, np.ndarray]], columns: int, caption: str) -> None:
+    """Lay titled pictures out in rows and write them with few colours."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from PIL import Image
+
+    rows = -(-len(drawn) // columns)
+    height = 4.5 * rows + 0.7
+    figure = Figure(figsize=(5 * columns, height), dpi=80, facecolor='white')
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axis in axes:
+        axis.set_axis_off()
+    for axis, (title, pixels) in zip(axes, drawn, strict=False):
         axis.imshow(pixels, interpolation='lanczos')
         axis.set_title(title, fontsize=12, color='#333333')
-        axis.set_axis_off()
-    figure.text(0.5, 0.015, caption, ha='center', fontsize=12, color='#333333', family='monospace')
-    figure.subplots_adjust(left=0.01, right=0.99, top=0.95, bottom=0.05, wspace=0.02, hspace=0.08)
-    figure.canvas.draw()
-    canvas: Any = figure.canvas  # of Agg
+    figure.text(0.5, 0.2 / height, caption, ha='center', fontsize=12, color='#333333', family='monospace')
+    edges = {'top': 1 - 0.5 / height, 'bottom': 0.6 / height}
+    figure.subplots_adjust(left=0.01, right=0.99, wspace=0.02, hspace=0.08, **edges)
+    canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba())[..., :3]
-    pyplot.close(figure)
     with replacing(path) as file:
         Image.fromarray(pixels).quantize(256, dither=Image.Dither.NONE).save(file, 'png', optimize=True)
 

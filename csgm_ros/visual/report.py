@@ -15,9 +15,9 @@ from csgm_ros.io.files import CloudFile
 from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT, matrix_text
 from csgm_ros.types import Similarity, Term
 from csgm_ros.visual import charts
-from csgm_ros.visual.pictures import FRONT, draw, turned
+from csgm_ros.visual.pictures import FRONT, draw, palette, turned
 from csgm_ros.visual.report_data import ReportData
-from csgm_ros.visual.scene import COLORS, REACH, SHOWN, Shown, distances, palette, scene
+from csgm_ros.visual.scene import COLORS, REACH, SHOWN, Shown, distances, scene
 from csgm_ros.visual.slices import slices
 
 DRAWN = 60_000  # points of the pictures; any first part of a shown cloud is an even sample of it

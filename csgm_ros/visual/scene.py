@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import colorsys
 import gzip
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +13,7 @@ from scipy.spatial import cKDTree
 from csgm_ros.cloud.prepare import normals_of
 from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT
 from csgm_ros.types import Similarity
-from csgm_ros.visual.pictures import FRONT, turned
+from csgm_ros.visual.pictures import FRONT, palette, turned
 from csgm_ros.visual.report_data import ReportData, Segmentation
 from csgm_ros.visual.slices import principal_axes
 
@@ -118,17 +117,6 @@ def scene(data: ReportData) -> tuple[dict, str, tuple[Shown, Shown]]:
         'arrays': arrays.index,
     }
     return manifest, arrays.packed(), (source, target)
-
-
-def palette(count: int) -> np.ndarray:
-    """Return (count, 3) colours of which neighbours in order are far apart in hue."""
-    turns = np.arange(count) * 0.6180339887
-    return np.array(
-        [
-            colorsys.hsv_to_rgb(turn % 1.0, 0.45 + 0.4 * (k % 3) / 2, 0.95 - 0.3 * (k % 2))
-            for k, turn in enumerate(turns)
-        ]
-    )
 
 
 def distances(moving: Shown, still: Shown, transform: Similarity, reach: float, count: int | None = None) -> np.ndarray:

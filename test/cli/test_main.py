@@ -190,8 +190,12 @@ def test_config_prints_the_yaml_and_the_file_is_read_back(pair, tmp_path, capsys
 
 def test_simulate_and_inspect(tmp_path, capsys):
     assert main(['simulate', str(tmp_path / 'pair')]) == 0
-    assert main(['inspect', str(tmp_path / 'pair' / 'sfm.ply')]) == 0
-    assert 'radius' in capsys.readouterr().out
+    files = [str(tmp_path / 'pair' / name) for name in ('sfm.ply', 'kinect.ply')]
+    assert main(['inspect', *files, '--picture', str(tmp_path / 'p.png')]) == 0
+    said = capsys.readouterr().out
+    assert said.count('radius ') == 2
+    assert 'target units per source unit' in said
+    assert (tmp_path / 'p.png').read_bytes().startswith(b'\x89PNG')
 
 
 @pytest.mark.parametrize(

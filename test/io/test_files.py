@@ -5,8 +5,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from csgm_ros.cli.inspect import inspect
-from csgm_ros.errors import DegenerateCloudError, InputError
+from csgm_ros.errors import InputError
 from csgm_ros.io.files import SUFFIXES, read_cloud, write_cloud
 from csgm_ros.io.resources import config_file
 
@@ -141,17 +140,6 @@ def test_other_kinds_and_places_are_refused(tmp_path):
         write_cloud(tmp_path / 'cloud.stl', POINTS)
     with pytest.raises(InputError, match='does not exist'):
         write_cloud(tmp_path / 'nowhere' / 'cloud.ply', POINTS)
-
-
-def test_inspection_tells_size_and_suits_the_values_to_the_density():
-    grid = np.stack(np.meshgrid(*3 * [np.arange(12.0)]), axis=-1).reshape(-1, 3)
-    text = inspect(np.vstack([grid, [[np.nan] * 3], grid[:1]]))
-    assert 'points   1730 (1 not finite, 1 repeated)' in text
-    assert 'extent   11 x 11 x 11' in text
-    assert 'spacing  1 ' in text
-    assert '--set supervoxels.voxel_size=0.2' in text
-    with pytest.raises(DegenerateCloudError):
-        inspect(np.zeros((5, 3)))
 
 
 def test_configuration_files_are_found_and_others_are_not():
