@@ -32,10 +32,12 @@ class Case:
     half : int
         0 for fitting, 1 for testing; all cases of one place are in one half.
     source, target : (N, 3), (M, 3) ndarray
-    truth : (4, 4) ndarray or None
-        Where source points belong; None where nothing may be accepted.
+    pose : (4, 4) ndarray
+        Where source points belong, or, of clouds that do not belong together, where the scene has them.
+    related : bool
+        False where nothing may be accepted.
     determined : bool
-        False where other transforms fit exactly as well, so that nothing may be accepted though ``truth`` is known.
+        False where other transforms fit exactly as well, so that nothing may be accepted though the pose is known.
     rigid : bool
         The scale is given (1).
     eyes : pair of (3,) ndarray or None
@@ -49,7 +51,8 @@ class Case:
     half: int
     source: np.ndarray
     target: np.ndarray
-    truth: np.ndarray | None
+    pose: np.ndarray
+    related: bool = True
     determined: bool = True
     rigid: bool = False
     eyes: tuple[np.ndarray | None, np.ndarray | None] = (None, None)
@@ -584,6 +587,7 @@ SYNTHETIC: tuple[tuple[Callable[..., Scene], int], ...] = (
     (object_part, 24),
 )
 """Kinds and how many cases of each; every case is a place of its own."""
+LEAST, SIMULATED = 4, 24
 OBJECTS = {object_views, object_views_far, object_mirrored, object_other, object_part}
 
 
@@ -610,7 +614,8 @@ def _placed(name: str, kind: str, half: int, scene: Scene, rigid: bool, rng, *, 
         half,
         apply(pose, scene.source)[order].astype(np.float32).astype(float),
         scene.target.astype(np.float32).astype(float),
-        scene.pose @ np.linalg.inv(pose) if scene.related else None,
+        scene.pose @ np.linalg.inv(pose),
+        scene.related,
         scene.determined,
         rigid,
         (None if eyes[0] is None else apply(pose, np.asarray(eyes[0])[None])[0], eyes[1]),
@@ -664,22 +669,24 @@ def _frame(data, index: int) -> np.ndarray:
     return points[::2]
 
 
-def real(crosses: int = 90) -> Iterator[Case]:
-    """Yield the real cases: related pairs twice (scale unknown and given), and clouds that share nothing."""
+def real(half: int | None = None, *, windows: int = 10, crosses: int = 60) -> Iterator[Case]:
+    """Yield the real cases: related pairs, many twice (scale unknown and given), and clouds that share nothing."""
     if shared_folder() is None:
         return
     kitchen = {name: real_pair(name) for name in real_names()}
     related = [(name, 0, Scene(p.source, p.target, pose=p.T_target_source)) for name, p in kitchen.items()]
     places = list(_place_scenes())
-    scenes = [('kitchen', *item) for item in related] + [('place', *item) for item in places]
-    scenes += [('kitchen, other window', *item) for item in _windows(kitchen)]
+    scenes = [('place', *item) for item in places] + [('kitchen', *item) for item in related]
+    scenes += [('kitchen, other window', *item) for item in itertools.islice(_windows(kitchen), windows)]
     scenes += [
         ('frame in map', *item) for item in (*_frames('sequence_desk', 1, 12), *_frames('sequence_kitchen', 0, 8))
     ]
-    for kind, name, half, scene in scenes:
-        for rigid in (False, True) if kind != 'kitchen, other window' else (False,):
+    for kind, name, own, scene in scenes:
+        if half not in (None, own):
+            continue
+        for rigid in (False, True) if kind == 'place' else (name.endswith(tuple('02468')),):
             rng = np.random.default_rng([rigid, *name.encode()])
-            yield _placed(f'{name}-{"given" if rigid else "unknown"}', kind, half, scene, rigid, rng, real=True)
+            yield _placed(f'{name}-{"given" if rigid else "unknown"}', kind, own, scene, rigid, rng, real=True)
     yield from _crossed([*((n, h, s.source) for n, h, s in related[3:6] + places)], related, places, crosses)
 
 
@@ -724,10 +731,11 @@ def simulated(number: int) -> Case:
     return _placed(f'simulated-{number}', 'simulated', number % 2, scene, number % 3 == 2, rng)
 
 
-def cases(share: float = 1.0) -> Iterator[Callable[[], Case]]:
-    """Yield makers of all cases; ``share`` below 1 takes only the first of each kind."""
-    for kind, count in SYNTHETIC:
-        for number in range(max(2, round(share * count))):
-            yield lambda kind=kind, number=number: synthetic(kind, number)
-    for number in range(max(2, round(share * 24))):
-        yield lambda number=number: simulated(number)
+def cases(share: float = 1.0, half: int | None = None) -> Iterator[Callable[[], Case]]:
+    """Yield makers of the synthetic cases, kind by turns; ``share`` below 1 takes only the first of each kind."""
+    kinds = [(lambda n, kind=kind: synthetic(kind, n), max(LEAST, round(share * most))) for kind, most in SYNTHETIC]
+    kinds.append((simulated, max(LEAST, round(share * SIMULATED))))
+    for number in range(max(count for _, count in kinds)):
+        for make, count in kinds:
+            if number < count and half in (None, number % 2):
+                yield lambda make=make, number=number: make(number)

@@ -354,6 +354,12 @@ class NodeConfig(Checked):
     publish_tf: bool = param(False, 'send the rigid part to /tf_static; TF cannot carry the scale')
     child_frame: str = param('', "frame of the scaled source; empty for the source's frame with _scaled appended")
     fixed_frame: str = param('', 'frame that accumulated clouds are moved into through TF; empty: they share a frame')
+    source_viewpoint: str = param(
+        '',
+        "TF frame in whose origin the source's sensor stood: what it looked through is empty; empty: the cloud's own "
+        'frame where its message is organised, as that of a depth camera is, else unknown',
+    )
+    target_viewpoint: str = param('', "the same for the target's sensor")
     source_window: int = param(1, 'newest messages of the source that are merged into one cloud', low=1, high=1000)
     target_window: int = param(1, 'newest messages of the target that are merged into one cloud', low=1, high=1000)
     max_points: int = param(

@@ -1,9 +1,11 @@
 """The benchmarks measure what they say: exact truth, real perturbations, known error values, honest tables."""
 
+import json
 import os
 import subprocess
 import sys
 from argparse import Namespace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,11 @@ from scipy.spatial.transform import Rotation
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import ablation, database_c, datasets, harness, meshes, metrics, peers, tables, verdict
+from benchmarks.verdict_cases import Case
+from benchmarks.verdict_trials import Trial, load, save
 from csgm_ros.config import flatten, profile
+from csgm_ros.verification.agreement import Agreement
+from csgm_ros.verification.findings import Findings, Motion, Rival
 
 MESH = meshes.sculpture('blob', 5, resolution=32)
 POINTS = np.concatenate([MESH.vertices, MESH.vertices[MESH.triangles].mean(axis=1)])
@@ -298,14 +304,33 @@ def test_an_ablation_changes_one_parameter_at_a_time():
     assert set(changed.values()) == {1}
 
 
-def test_unrelated_pairs_are_many_and_different(monkeypatch):
-    monkeypatch.delenv('CSGM_SHARED', raising=False)
-    cases = verdict.unrelated_cases(['blob0', 'machine0', 'branch0', 'head0'], 200)
-    assert len(cases) == 200
-    pair = cases[-1].make()
-    assert pair.T_target_source is None
-    source, _, target = pair.name.rpartition('-')[0].partition('|')
-    assert source != target
+def trial(ratio, *, right, half=1):
+    findings = Findings(Agreement(0.5, 0.5, 20.0, 500), (Rival(ratio, 20.0, Motion('slide', np.eye(3)[0], 1.0)),))
+    row = {'case': 'a', 'kind': 'room', 'half': half, 'setting': 'slide', 'right': right, 'rigid': False, 'old': True}
+    return json.loads(json.dumps({**row, 'cpu': 0.1, 'findings': asdict(findings)}, default=np.ndarray.tolist))
+
+
+def test_trials_of_the_verdict_are_counted_by_right_and_accepted():
+    rows = [trial(0.1, right=True), trial(0.9, right=True), trial(0.1, right=False), trial(0.9, right=False)]
+    counted = verdict.numbers([*rows, trial(0.9, right=False, half=0)])
+    tested = counted['for testing']
+    assert tested['now'] == (1, 1, 1, 1)
+    assert tested['0.1.0'] == (2, 0, 2, 0)
+    assert sum(row[3] for row in tested['reliability']) == tested['trials'] == 4
+    assert counted['for fitting']['now'] == (0, 0, 0, 1)
+    assert '| all | 1 | 1 / 1 | 1 / 1 | 2 / 0 | 2 / 0 |' in verdict.summary(rows)
+
+
+def test_a_case_is_kept_with_its_trials(tmp_path):
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    case = Case('a|b', 'room', 1, points, points + 1.0, np.eye(4), eyes=(None, np.ones(3)), rigid=True)
+    winner = Trial('slide', np.diag([2.0, 2.0, 2.0, 1.0]), np.zeros((3, 4, 4)))
+    save(tmp_path / 'case.npz', case, [winner])
+    again, (trial_again,) = load(tmp_path / 'case.npz')
+    assert (again.name, again.kind, again.half, again.rigid, again.eyes[0]) == ('a|b', 'room', 1, True, None)
+    np.testing.assert_allclose(again.target, case.target, rtol=1e-6)
+    np.testing.assert_array_equal(trial_again.winner, winner.winner)
+    assert trial_again.others.shape == (3, 4, 4)
 
 
 def test_a_command_writes_its_table(tmp_path):

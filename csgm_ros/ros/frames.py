@@ -85,7 +85,9 @@ def listener(node: Node) -> TfListener | Tf2Listener:
     try:
         from tf2_msgs.msg import TFMessage
     except ImportError:
-        raise InputError('fixed_frame, odom_frame and base_frame need TF, and tf2_msgs is not installed') from None
+        raise InputError(
+            'a viewpoint, fixed_frame, odom_frame and base_frame need TF, and tf2_msgs is not installed'
+        ) from None
     try:
         return Tf2Listener(node)
     except ImportError:

@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import Trigger
 
+from csgm_ros.config import NodeConfig
 from csgm_ros.errors import InputError
 from csgm_ros.ros.diagnostics import registration_status
 from csgm_ros.ros.frames import Frames
@@ -57,7 +58,7 @@ class Pairing:
         settings = self._settings.node_config
         with self._pairing:
             self._paired = None
-        if settings.fixed_frame:
+        if needs_tf(settings):
             self._frames.listen()
         self._registration.open()
         for cloud_input in self.inputs:
@@ -99,8 +100,17 @@ class Pairing:
             prior = self._settings.prior
         except InputError as error:
             return str(error)
-        place = self._placing(settings.fixed_frame)
-        return Request(source, target, config, settings.seed, settings.window_voxel, place, prior)
+        return Request(
+            source,
+            target,
+            config,
+            settings.seed,
+            settings.window_voxel,
+            self._placing(settings.fixed_frame),
+            prior,
+            (settings.source_viewpoint, settings.target_viewpoint),
+            self._frames.lookup,
+        )
 
     def _placing(self, fixed: str) -> Callable[[Cloud], Cloud] | None:
         """Return what moves a cloud into the fixed frame, None where there is none."""
@@ -163,9 +173,9 @@ class Pairing:
             outputs.publish_graphs()
 
     def _follow_frames(self) -> None:
-        """Listen to TF where a fixed frame is set, also while the node is active; say once why that cannot be."""
+        """Listen to TF where a frame is set, also while the node is active; say once why that cannot be."""
         complaint = ''
-        if self._settings.node_config.fixed_frame:
+        if needs_tf(self._settings.node_config):
             try:
                 self._frames.listen()
             except InputError as error:
@@ -173,6 +183,11 @@ class Pairing:
         if complaint and complaint != self._frames_complaint:
             self._node.get_logger().error(complaint)
         self._frames_complaint = complaint
+
+
+def needs_tf(settings: NodeConfig) -> bool:
+    """Return whether a parameter names a frame that only TF knows."""
+    return bool(settings.fixed_frame or settings.source_viewpoint or settings.target_viewpoint)
 
 
 @functools.cache

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
@@ -18,10 +19,10 @@ import csgm_ros
 from csgm_ros.cloud.merge import merge
 from csgm_ros.config import Config
 from csgm_ros.errors import Cancelled, CsgmError, InputError
-from csgm_ros.io.pointcloud2 import decode
+from csgm_ros.io.pointcloud2 import decode, stamp_of
 from csgm_ros.ros.lifecycle import guarded
 from csgm_ros.ros.worker import Job, Worker
-from csgm_ros.types import Cloud, Prior, RegistrationResult
+from csgm_ros.types import Cloud, Prior, RegistrationResult, Similarity
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,8 @@ class Request:
     window_voxel: float
     place: Callable[[Cloud], Cloud] | None = None  # moves a cloud that will be merged into the fixed frame
     prior: Prior | None = None
+    sensors: tuple[str, str] = ('', '')  # frames in whose origins source and target were seen from
+    lookup: Callable[[str, str, int], Similarity] | None = None  # what TF tells, see Frames.lookup
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,8 +176,16 @@ def run(request: Request, progress: Callable[[str, float], None]) -> Outcome:
     progress('decode', 0.0)
     source, target = (cloud_of(request, name) for name in ('source', 'target'))
     decode_seconds = time.perf_counter() - started
-    asked = {'seed': request.seed, 'on_progress': progress, 'prior': request.prior}
-    result = csgm_ros.register(source.points, target.points, request.config, **asked)
+    result = csgm_ros.register(
+        source.points,
+        target.points,
+        request.config,
+        seed=request.seed,
+        on_progress=progress,
+        prior=request.prior,
+        source_viewpoint=viewpoint_of(request, 'source'),
+        target_viewpoint=viewpoint_of(request, 'target'),
+    )
     return Outcome(result, source, target, decode_seconds)
 
 
@@ -187,6 +198,27 @@ def cloud_of(request: Request, name: str) -> Cloud:
         return merge(clouds, request.window_voxel)
     except InputError as error:
         raise InputError(f'{name}: {error}') from None
+
+
+def viewpoint_of(request: Request, name: str) -> np.ndarray | None:
+    """Return where the sensor of one input stood, in the cloud's frame; None where that is unknown or several places.
+
+    Organised messages, as a depth camera's, are from the origin of their frame, unless another frame is configured.
+    """
+    messages, sensor = getattr(request, name), request.sensors[name == 'target']
+    if len(messages) != 1:
+        return None
+    header = messages[0].header
+    if not sensor:
+        return np.zeros(3) if messages[0].height > 1 else None
+    if sensor == header.frame_id:
+        return np.zeros(3)
+    if request.lookup is None:
+        raise InputError(f'{name}_viewpoint is {sensor}, which needs TF')
+    try:
+        return request.lookup(header.frame_id, sensor, stamp_of(messages[0])).translation
+    except InputError as error:
+        raise InputError(f'{name}_viewpoint: {error}') from None
 
 
 def describe(result: RegistrationResult) -> str:

@@ -61,18 +61,18 @@ class Comparison:
         bend = max(side.bend for side in self.sides)
         self._min_cosine = cosine(min(MAX_ANGLE, max(MIN_ANGLE, BENDS * bend)))
 
-    def agreement(self, transform: np.ndarray) -> Agreement:
-        """Measure one (4, 4) transform."""
+    def agreement(self, transform: np.ndarray, most: int | None = None) -> Agreement:
+        """Measure one (4, 4) transform, on ``most`` points of each side."""
         shares, agrees, inliers = [], [], []
-        for weights, (states, _) in zip(self._weights, self.states(transform), strict=True):
-            agree = states == AGREES
+        for own, (states, _) in zip(self._weights, self.states(transform, most), strict=True):
+            weights, agree = own[:most], states == AGREES
             agrees.append(weights[agree].sum())
             shares.append(agrees[-1] / max(weights[states > FAR].sum(), 1e-12))
             inliers.append(int(agree.sum()))
         planes = min(agrees)
         return Agreement(float(min(shares)), float(min(1.0, planes / self._least)), float(planes), min(inliers))
 
-    def states(self, transform: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    def states(self, transform: np.ndarray, most: int | None = None) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return what each side's sample meets under a (4, 4) transform, and the nearest point there."""
         found = []
         squared = (transform[:3, 0] ** 2).sum()
@@ -81,12 +81,13 @@ class Comparison:
         back[:3, 3] = -back[:3, :3] @ transform[:3, 3]
         for matrix, moving, still in ((transform, *self.sides), (back, *self.sides[::-1])):
             unit = np.sqrt(np.sqrt((matrix[:3, 0] ** 2).sum()))  # neither cloud's cell counts more than the other's
-            states, near = np.empty(len(moving.sample), np.int8), np.empty(len(moving.sample), np.int64)
+            sample = moving.sample[:most]
+            states, near = np.empty(len(sample), np.int8), np.empty(len(sample), np.int64)
             grid = still.grid
             _meet(
                 matrix,
-                moving.points[moving.sample],
-                moving.normals[moving.sample],
+                moving.points[sample],
+                moving.normals[sample],
                 (grid.index, grid.origin, grid.cell, grid.points, grid.normals),
                 (INLIER * self.cell * unit, NEAR * self.cell * unit, still.gap * unit, self._min_cosine * unit**2),
                 states,

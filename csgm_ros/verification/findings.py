@@ -19,6 +19,7 @@ Refine = Callable[..., np.ndarray]
 WIDE_DISTANCES, FINE_DISTANCES = (4.0, 2.5, 1.5), (0.75, 0.4)  # cells, of the correspondences of probes
 SAME_DISTANCES = (1.0, 0.5)
 FEW, SOME = 400, 700  # points
+MOST_RIVALS, MOST_MIRRORED = 16, 4  # that are measured on all points, of what is probed
 MIN_OVERLAP = 20  # points, below which there is nothing to probe
 BOARDS = ((5.0, 0.0), (5.0, 0.37), (8.0, 0.0), (8.0, 0.37))  # edge in cells and phase of the checkerboards
 SAME_SCALE, SAME_ANGLE = 0.05, 10.0  # |log factor| and degrees up to which a rival only slides
@@ -99,35 +100,50 @@ def compared(comparison: Comparison, winner: np.ndarray, others: Iterable[np.nda
 
 
 def probed(
-    comparison: Comparison, winner: np.ndarray, findings: Findings, refine: Refine, *, estimate_scale: bool
+    comparison: Comparison,
+    winner: np.ndarray,
+    others: Iterable[np.ndarray],
+    findings: Findings,
+    refine: Refine,
+    *,
+    estimate_scale: bool,
 ) -> Findings:
-    """Return the findings with those of symmetry probes, other scales and halves added."""
+    """Return the findings with those of symmetry probes, other scales and halves added.
+
+    The other finalists compete once more, refined as the probes are: what the search left them at is chance.
+    """
     overlap = comparison.overlap(winner)
     if len(overlap[0]) < MIN_OVERLAP:
         return replace(findings, half_shift=float('inf'))
     agreement = findings.agreement
-    turned = symmetries(winner, *overlap)
-    moved = _refined(comparison, turned, (*WIDE_DISTANCES, *FINE_DISTANCES), refine, estimate_scale=estimate_scale)
-    rivals = [_rival(comparison, winner, agreement, other) for other in moved]
-    mirrored = _refined(
-        comparison, mirrors(winner, *overlap), (*WIDE_DISTANCES, *FINE_DISTANCES), refine, estimate_scale=estimate_scale
-    )
+    distances = *WIDE_DISTANCES, *FINE_DISTANCES
+    turned = np.concatenate([_matrices(symmetries(winner, *overlap)), np.array([*others]).reshape(-1, 4, 4)])
+    moved = refined(comparison, turned, distances, refine, estimate_scale=estimate_scale)
+    flipped = _matrices(mirrors(winner, *overlap))
+    mirrored = refined(comparison, flipped, distances, refine, estimate_scale=estimate_scale)
     sized = scales(winner, overlap[0])
-    resized = _refined(comparison, sized, (WIDE_DISTANCES[-1], *FINE_DISTANCES), refine, estimate_scale=False)
+    resized = refined(comparison, _matrices(sized), distances[2:], refine, estimate_scale=False)
+    moved = np.array([other for other in moved if _apart(comparison, winner, other) > SAME]).reshape(-1, 4, 4)
+    rivals = [_rival(comparison, winner, agreement, other) for other in _best(comparison, moved, MOST_RIVALS)]
     return replace(
         findings,
-        rivals=(*findings.rivals, *(rival for rival in rivals if rival.displacement > SAME)),
+        rivals=(*findings.rivals, *rivals),
         scale_curve=tuple((p.amount, _ratio(comparison, m, agreement)) for p, m in zip(sized, resized, strict=True)),
-        mirrored=max(_ratio(comparison, m, agreement) for m in mirrored),
+        mirrored=max(_ratio(comparison, m, agreement) for m in _best(comparison, mirrored, MOST_MIRRORED)),
         half_shift=half_shift(comparison, winner, overlap[0], refine, estimate_scale=estimate_scale),
     )
 
 
-def _refined(
-    comparison: Comparison, probes: list[Probe], distances: tuple[float, ...], refine: Refine, *, estimate_scale: bool
+def _best(comparison: Comparison, transforms: np.ndarray, count: int) -> np.ndarray:
+    """Return the ``count`` best of (H, 4, 4) transforms, as few points tell."""
+    scores = [comparison.agreement(transform, SOME).score for transform in transforms]
+    return transforms[np.argsort(scores)[::-1][:count]]
+
+
+def refined(
+    comparison: Comparison, moved: np.ndarray, distances: tuple[float, ...], refine: Refine, *, estimate_scale: bool
 ) -> np.ndarray:
-    """Refine probes with correspondence distances in cells, the wide ones on fewer points."""
-    moved = np.array([probe.transform for probe in probes])
+    """Refine (H, 4, 4) transforms with correspondence distances in cells, the wide ones on fewer points."""
     wide = _lengths([distance for distance in distances if distance > NEAR], comparison.cell)
     fine = _lengths([distance for distance in distances if distance <= NEAR], comparison.cell)
     if wide:
@@ -166,10 +182,18 @@ def half_shift(
 
 
 def _rival(comparison: Comparison, winner: np.ndarray, agreement: Agreement, other: np.ndarray) -> Rival:
+    apart = _apart(comparison, winner, other)
+    return Rival(_ratio(comparison, other, agreement), apart, motion(winner, other, _few(comparison)))
+
+
+def _apart(comparison: Comparison, winner: np.ndarray, other: np.ndarray) -> float:
+    """Return the RMS displacement in cells between two (4, 4) transforms."""
+    return _displacement(winner, other, _few(comparison)) / comparison.cell
+
+
+def _few(comparison: Comparison) -> np.ndarray:
     source = comparison.sides[0]
-    points = source.points[source.sample[:FEW]]
-    apart = _displacement(winner, other, points) / comparison.cell
-    return Rival(_ratio(comparison, other, agreement), apart, motion(winner, other, points))
+    return source.points[source.sample[:FEW]]
 
 
 def motion(winner: np.ndarray, other: np.ndarray, points: np.ndarray) -> Motion | None:
@@ -198,6 +222,10 @@ def _ratio(comparison: Comparison, transform: np.ndarray, agreement: Agreement) 
 def _displacement(first: np.ndarray, second: np.ndarray, points: np.ndarray) -> float:
     offsets = points @ (first - second)[:3, :3].T + (first - second)[:3, 3]
     return float(np.sqrt((offsets**2).sum(1).mean()))
+
+
+def _matrices(probes: list[Probe]) -> np.ndarray:
+    return np.array([probe.transform for probe in probes])
 
 
 def _grids(comparison: Comparison, name: str) -> tuple[NearestGrid, NearestGrid]:

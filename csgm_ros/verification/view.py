@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
 
@@ -79,25 +80,41 @@ class View:
 
     def judge(self, best: Evidence) -> Verdict:
         """Return the verdict on a transform, all that was measured before competing with it."""
-        estimate_scale = self._config.scale.estimate_scale
-        comparison, scale = self._comparison(best.transform.scale)
-        winner = best.transform.matrix @ _scaling(1.0 / scale)
         others = sorted(self.measured, key=lambda evidence: -evidence.score)[:MOST_COMPARED]
-        findings = compared(comparison, winner, [o.transform.matrix @ _scaling(1.0 / scale) for o in others])
-        findings = replace(findings, seen_through=self._seen_through(best.transform))
+        transforms = [other.transform for other in others]
+        findings = self.compared(best.transform, transforms)
         if self._decided(best, findings).accepted:
-            findings = probed(comparison, winner, findings, self._refine, estimate_scale=estimate_scale)
+            findings = self.probed(best.transform, transforms, findings)
         verdict = within_bounds(
             self._decided(best, findings), self.pair.in_own_units(best.transform).scale, self._config.scale
         )
         return replace(verdict, inlier_rmse=verdict.inlier_rmse / self.pair.normalizations[1].scale)
+
+    def compared(self, transform: Similarity, others: Iterable[Similarity]) -> Findings:
+        """Return what other transforms and the viewpoints say about one between the normalised clouds."""
+        comparison, scale = self.comparison(transform.scale)
+        findings = compared(comparison, _reduced(transform, scale), [_reduced(other, scale) for other in others])
+        return replace(findings, seen_through=self._seen_through(transform))
+
+    def probed(self, transform: Similarity, others: Iterable[Similarity], findings: Findings) -> Findings:
+        """Return the findings with those of probes added, see :func:`csgm_ros.verification.findings.probed`."""
+        comparison, scale = self.comparison(transform.scale)
+        reduced = [_reduced(other, scale) for other in others]
+        return probed(
+            comparison,
+            _reduced(transform, scale),
+            reduced,
+            findings,
+            self._refine,
+            estimate_scale=self._config.scale.estimate_scale,
+        )
 
     def _decided(self, best: Evidence, findings: Findings) -> Verdict:
         units = Units(1.0 / self.pair.normalizations[1].scale, self.pair.in_own_units(best.transform).scale)
         estimate_scale = self._config.scale.estimate_scale
         return decide(best, findings, self._config.verification, units, estimate_scale=estimate_scale)
 
-    def _comparison(self, scale: float) -> tuple[Comparison, float]:
+    def comparison(self, scale: float) -> tuple[Comparison, float]:
         """Return the clouds at the length of their structure, the source enlarged, and by how much."""
         if not self._config.scale.estimate_scale:
             step, used = 0, 1.0
@@ -138,8 +155,9 @@ class View:
         return max((share for share in shares if share is not None), default=0.0)
 
 
-def _scaling(factor: float) -> np.ndarray:
-    return np.diag([factor, factor, factor, 1.0])
+def _reduced(transform: Similarity, scale: float) -> np.ndarray:
+    """Return the matrix of a transform for a source that was enlarged by a scale."""
+    return transform.matrix @ np.diag([1.0 / scale, 1.0 / scale, 1.0 / scale, 1.0])
 
 
 def _robust_radius(points: np.ndarray) -> float:
