@@ -57,7 +57,8 @@ def run(pairs: Sequence[Pair], results: Results, client, *, threads: int = 1, re
     left = [pair for pair in pairs if pair.key not in results.keys]
     counts = {'accepted': 0, 'rejected': 0, 'failed': 0, 'earlier': len(pairs) - len(left)}
     with _Progress(len(pairs), len(pairs) - len(left), stream or sys.stderr) as progress, _lost_at_interrupt(results):
-        waiting, going = enumerate(left), {}
+        waiting = enumerate(left)
+        going: dict[str, Pair] = {}
         with asking(client):
             queue = as_completed(loop=client.loop)
             batches = queue.batches()
