@@ -11,6 +11,10 @@ Progress = Callable[[str, float], None]
 STAGES = ('scale normalization', 'structure extraction', 'graph matching', 'transformation estimation')
 
 
+class TimeUp(Exception):
+    """The time budget is spent."""
+
+
 class Clock:
     """Names the running stage to the caller, keeps the wall seconds of each stage, and knows when time is up."""
 
@@ -36,6 +40,12 @@ class Clock:
         """Tell the caller that work goes on; whatever its callback raises ends the registration."""
         if self._on_progress:
             self._on_progress(self._stage, self._fraction)
+
+    def check(self) -> None:
+        """Tell the caller that work goes on, and raise :class:`TimeUp` once the time budget is spent."""
+        self.report()
+        if self.expired:
+            raise TimeUp
 
     @property
     def expired(self) -> bool:

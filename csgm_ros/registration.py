@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 from collections.abc import Iterator
@@ -19,7 +20,7 @@ from csgm_ros.graph.affinity import affinity
 from csgm_ros.graph.build import build
 from csgm_ros.matching.guided import match_guided
 from csgm_ros.matching.match import match_graphs
-from csgm_ros.progress import Clock, Progress
+from csgm_ros.progress import Clock, Progress, TimeUp
 from csgm_ros.scale import normalize, search_range
 from csgm_ros.structure.extract import cut, describe
 from csgm_ros.structure.keypoints import describe_keypoints
@@ -107,18 +108,37 @@ def register(
         Whatever ``on_progress`` raised.
     """
     config = config or profile()
+    clock = Clock(on_progress, config.time_budget)
     most, threads = config.preprocess.max_points, config.threads or os.cpu_count() or 1
     config = config if prior is None else narrowed(config, prior)
     clouds = finite_points(source, NAMES[0], most, threads), finite_points(target, NAMES[1], most, threads)
-    clock = Clock(on_progress, config.time_budget)
+    viewpoints = viewpoint(source_viewpoint, NAMES[0]), viewpoint(target_viewpoint, NAMES[1])
+    results: dict[int, RegistrationResult] = {}
+    with contextlib.suppress(TimeUp):
+        _attempts(clouds, viewpoints, prior, config, seed, clock, details, results)
+    clock.finish()
+    best = best_of(results.values()) if results else _unfinished(config)
+    return dataclasses.replace(best, timings=clock.timings, seed=seed)
+
+
+def _attempts(
+    clouds: tuple[np.ndarray, np.ndarray],
+    viewpoints: Viewpoints,
+    prior: Prior | None,
+    config: Config,
+    seed: int,
+    clock: Clock,
+    details: bool,
+    results: dict[int, RegistrationResult],
+) -> None:
+    """Run one attempt of the schedule after the other until one is accepted, and put their results, by smoothing."""
     clock.enter('scale normalization')
     pair = normalize(clouds, config)  # step 1
+    clock.check()
     sides = zip(pair.clouds, pair.normalizations, strict=True)
     source_part, target_part = (unit.apply(cloud) for cloud, unit in sides)
     ladder = Ladder(source_part, target_part, seed)
-    viewpoints = viewpoint(source_viewpoint, NAMES[0]), viewpoint(target_viewpoint, NAMES[1])
     views: dict[int, View] = {}
-    results: dict[int, RegistrationResult] = {}
     for number, attempt in enumerate(schedule(pair, config)):
         clock.begin(number)
         try:
@@ -133,8 +153,11 @@ def register(
         results[attempt.smoothing] = result = _updated(results.get(attempt.smoothing), result)
         if result.accepted or clock.expired:
             break
-    clock.finish()
-    return dataclasses.replace(best_of(results.values()), timings=clock.timings, seed=seed)
+
+
+def _unfinished(config: Config) -> RegistrationResult:
+    said = f'the time budget of {config.time_budget:g} s was spent before any transform could be judged; give it more'
+    return RegistrationResult(Similarity.identity(), no_hypothesis(said), {}, 0, config)
 
 
 def _attempt(
@@ -151,12 +174,14 @@ def _attempt(
 ) -> tuple[View, RegistrationResult]:
     """Steps 2 to 5 of Algorithm 1."""
     clock.enter('structure extraction')
-    view = views.get(attempt.smoothing) or _view(pair, viewpoints, attempt, config, rng)
-    source, target = _structures(view.pair, attempt, config, rng)  # step 2
+    view = views.get(attempt.smoothing) or _view(pair, viewpoints, attempt, config, rng, clock)
+    clock.check()
+    source, target = _structures(view.pair, attempt, config, rng, clock)  # step 2
     graphs = build(source, config.graph), build(target, config.graph)  # step 3
+    clock.check()
     clock.enter('graph matching')
     matched = _matched(*graphs, config, clock)  # step 4
-    structures = _structure_pair(source, target, matched, attempt, view, ladder, config, prior)
+    structures = _structure_pair(source, target, matched, attempt, view, ladder, config, prior, clock)
     clock.enter('transformation estimation')
     estimate = {'search': _searched, 'ransac': _ransac}[config.hypotheses.method]  # step 5
     best, verdict = estimate(structures, view, config, rng, clock)
@@ -169,31 +194,42 @@ def _attempt(
 
 
 def _view(
-    pair: NormalizedPair, viewpoints: Viewpoints, attempt: Attempt, config: Config, rng: np.random.Generator
+    pair: NormalizedPair,
+    viewpoints: Viewpoints,
+    attempt: Attempt,
+    config: Config,
+    rng: np.random.Generator,
+    clock: Clock,
 ) -> View:
     if not attempt.smoothing:
         return View(pair, config, rng.spawn(1)[0], refine_between, viewpoints)
-    sides = zip(pair.clouds, pair.normalizations, strict=True)
-    first, second = (unit.inverse().apply(smoothed(unit.apply(cloud), attempt.smoothing)) for cloud, unit in sides)
-    pair = NormalizedPair((first, second), pair.normalizations)
+    smooth = []
+    for cloud, unit in zip(pair.clouds, pair.normalizations, strict=True):
+        smooth.append(unit.inverse().apply(smoothed(unit.apply(cloud), attempt.smoothing)))
+        clock.check()
+    pair = NormalizedPair((smooth[0], smooth[1]), pair.normalizations)
     return View(pair, config, rng, refine_between, viewpoints, smoothed=True)
 
 
 def _structures(
-    pair: NormalizedPair, attempt: Attempt, config: Config, rng: np.random.Generator
+    pair: NormalizedPair, attempt: Attempt, config: Config, rng: np.random.Generator, clock: Clock
 ) -> tuple[Structure, Structure]:
     """Step 2 for both clouds at a time, with no more nodes than matching can take."""
     relatives = (attempt.relative, 1.0)
     with ThreadPoolExecutor(1 if config.threads == 1 else 2) as pool:
         for last in (False, False, True):
             cuts = tuple(pool.map(_cut, NAMES, pair.clouds, pair.normalizations, (config,) * 2, relatives))
+            clock.check()
             crowding = max(map(len, cuts)) / config.supervoxels.max_nodes
             if crowding <= 1.0 or last:
                 break
             seed_size = min(config.supervoxels.seed_size * 1.1 * np.sqrt(crowding), 1.0)
             config = replaced(config, {'supervoxels.seed_size': float(seed_size)})
-        found = pool.map(_described, NAMES, cuts, pair.normalizations, (config,) * 2, rng.spawn(2), relatives)
-        source, target = found
+        described = []
+        for each in pool.map(_described, NAMES, cuts, pair.normalizations, (config,) * 2, rng.spawn(2), relatives):
+            clock.check()
+            described.append(each)
+        source, target = described
         return source, target
 
 
@@ -220,7 +256,7 @@ def _matched(first: StructureGraph, second: StructureGraph, config: Config, cloc
         config=config.matching,
         positions_1=first.nodes,
         positions_2=second.nodes,
-        is_cancelled=clock.report,  # raises where the caller wants to stop
+        is_cancelled=clock.check,  # raises where the caller wants to stop, or has no time left
     )
     return MatchedGraphs(first, second, node_affinity, edge_affinity, matching)
 
@@ -234,11 +270,16 @@ def _structure_pair(
     ladder: Ladder,
     config: Config,
     prior: Prior | None,
+    clock: Clock,
 ) -> StructurePair:
     @cache
     def keypoints():
         radius = config.hypotheses.feature_radius
-        return tuple(describe_keypoints(side.surface, radius * side.unit) for side in (source, target))
+        described = []
+        for side in (source, target):
+            described.append(describe_keypoints(side.surface, radius * side.unit))
+            clock.check()
+        return tuple(described)
 
     def found():
         return np.array([evidence.transform.matrix for evidence in view.measured]).reshape(-1, 4, 4)
@@ -276,17 +317,19 @@ def _searched(
     structures: StructurePair, view: View, config: Config, rng: np.random.Generator, clock: Clock
 ) -> tuple[Similarity, Verdict]:
     """Step 5 extended: many hypotheses, from one source after the other, verified from both sides."""
-    best, verdict = Similarity.identity(), no_hypothesis()
-    for _ in _candidates(config.hypotheses.sources, structures, view, config, rng, clock):
-        evidence = _best(structures, view, config) if view.measured else None
-        if evidence is not None:
-            best, verdict = evidence.transform, view.judge(evidence)
-        elif view.measured:
-            verdict = no_hypothesis(NOT_EXPECTED)
-        clock.report()
-        if verdict.accepted or clock.expired:
-            break
-    return best, verdict
+    best, verdict = Similarity.identity(), None
+    with contextlib.suppress(TimeUp):
+        for _ in _candidates(config.hypotheses.sources, structures, view, config, rng, clock):
+            evidence = _best(structures, view, config) if view.measured else None
+            clock.check()
+            if evidence is not None:
+                best, verdict = evidence.transform, view.judge(evidence)
+            elif view.measured:
+                verdict = no_hypothesis(NOT_EXPECTED)
+            clock.check()
+            if verdict and verdict.accepted:
+                break
+    return best, verdict or (_unfinished(config).verdict if clock.expired else no_hypothesis())
 
 
 def _best(structures: StructurePair, view: View, config: Config) -> Evidence | None:
@@ -330,12 +373,14 @@ def _candidates(
     grids: tuple[NearestGrid, NearestGrid] | None = None
     for name in ('prior', *sources) if structures.prior else sources:
         hypotheses = propose(name, structures, config.hypotheses, rng)
+        clock.check()
         if name == 'planes':  # searched and refined already, in lengths of their own
             view.measured += map(view.measure, map(Similarity.from_matrix, hypotheses))
         elif len(hypotheses):
             grids = grids or search_grids(structures, config.verification)
             finalists = search(hypotheses, *grids, config, rng, clock)
             view.measured += map(view.measure, refine_finalists(finalists, *view.surfaces, config))
+        clock.check()
         if name != 'prior':  # what it proposes is judged beside what another source does, as it is no evidence
             yield
 

@@ -10,6 +10,7 @@ from csgm_ros.cloud.voxels import voxel_means
 from csgm_ros.structure.fpfh import fpfh
 from csgm_ros.types import PreparedCloud
 
+MOST = 4000  # keypoints, from which their spacing grows: of a surface there are fewer, of a blob or fog many more
 SPACING = 0.2  # of the keypoints, in feature radii: finer ones cost more and match no better
 
 
@@ -37,7 +38,9 @@ def describe_keypoints(surface: PreparedCloud, radius: float) -> Keypoints:
     """
     from scipy.spatial import cKDTree
 
-    points = voxel_means(surface.points, SPACING * radius)
+    spacing = SPACING * radius
+    while len(points := voxel_means(surface.points, spacing)) > MOST:
+        spacing *= 1.2
     _, nearest = cKDTree(surface.points).query(points)
     normals = surface.normals[nearest]
     outward = np.where((normals * points).sum(1, keepdims=True) < 0.0, -1.0, 1.0)

@@ -43,7 +43,7 @@ def search(
     source, target : NearestGrid
         See :func:`search_grid`.
     clock : Clock
-        When its time is up, what has been refined so far is returned.
+        Asked after every step.
 
     Returns
     -------
@@ -58,6 +58,7 @@ def search(
     many = orders[0][: part.samples], orders[1][: part.samples]
     probe = source.points[few[0]]
     ranking = scoring.scores(hypotheses, *grids, few, part.coarse_truncation, min_cosine)
+    clock.check()
     kept = hypotheses[scoring.best_distinct(hypotheses, ranking, probe, part.distinct, part.refined)]
     refined = []
     for first in range(0, len(kept), BATCH):
@@ -67,9 +68,7 @@ def search(
                 batch, *grids, many, part.max_correspondence_distances, min_cosine, estimate_scale=scaled
             )
         )
-        clock.report()
-        if clock.expired:
-            break
+        clock.check()
     found = np.concatenate(refined)
     ranking = scoring.scores(found, *grids, many, part.fine_truncation, min_cosine)
     return found[scoring.best_distinct(found, ranking, probe, part.distinct, part.finalists)]

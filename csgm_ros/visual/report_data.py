@@ -10,6 +10,7 @@ from importlib import metadata
 import numpy as np
 
 from csgm_ros.config import flatten, profile
+from csgm_ros.errors import InputError
 from csgm_ros.io.files import CloudFile
 from csgm_ros.types import Hypothesis, RegistrationResult, StructureGraph, Term
 
@@ -99,7 +100,8 @@ class ReportData:
 def report_data(result: RegistrationResult, source: CloudFile, target: CloudFile, names: tuple[str, str]) -> ReportData:
     """Return what a report shows of a result that was made with ``details=True``."""
     details, config = result.details, result.config
-    assert details is not None
+    if details is None:
+        raise InputError(f'there is nothing to draw: {result.reason}')
     assert result.source_graph is not None
     assert result.target_graph is not None
     first, second = (
