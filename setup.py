@@ -79,7 +79,7 @@ setup(
         'test': ['pytest', 'pytest-timeout', 'pytest-xdist', 'hypothesis', 'selenium', *FORMATS, *BATCH],
         'docs': DOCS,
         'fuzz': ['atheris'],
-        'peers': ['kiss-matcher', 'small-gicp', 'pycpd', 'jrmpc'],
+        'peers': ['kiss-matcher', 'small-gicp', 'kiss-icp', 'pycpd', 'jrmpc'],
         'dev': [
             'ruff',
             'mypy',

@@ -114,6 +114,7 @@ def report(sequence: Sequence, rows) -> dict[str, object]:
         return out
     out['right of given'] = len(right) / len(judged)
     out['right of all'] = len(right) / len(on_map)
+    out['right of all since the first pose'] = len(right) / sum(n >= min(given) for n in on_map)
     out['displacement median m'] = float(np.median([errors[n][0] for n in judged]))
     out['rotation median deg'] = float(np.median([errors[n][1] for n in judged]))
     out |= trajectory(sequence, {n: given[n].T_map_sensor for n in judged})

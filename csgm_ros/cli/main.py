@@ -124,6 +124,7 @@ def _add_demo(commands) -> None:
     parser = commands.add_parser('demo', help='the live node registers a synthetic pair, or two files')
     parser.add_argument('--source', metavar='F', help='default: a simulated SfM cloud')
     parser.add_argument('--target', metavar='F', help='default: a simulated Kinect cloud')
+    parser.add_argument('--tracking', action='store_true', help='follow a simulated sensor through a map instead')
     parser.add_argument('--seed', type=_seed, default=0, metavar='N', help='of the scene and of the registration')
     parser.add_argument('--output', metavar='DIR', default='demo_output', help='default: demo_output')
     parser.set_defaults(run=_demo)
@@ -318,6 +319,12 @@ def _demo(options) -> int:
     from csgm_ros.demo import run as demo
 
     try:
+        if options.tracking:
+            if options.source or options.target:
+                raise InputError('--tracking simulates its own map and sensor; leave out --source and --target')
+            from csgm_ros.demo import track
+
+            return track.run(options.output, options.seed)
         return demo.run(options.source, options.target, options.output, options.seed)
     except demo.DemoError as error:
         print(f'csgm: {error}', file=sys.stderr)

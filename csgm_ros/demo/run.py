@@ -58,21 +58,21 @@ def run(source: str | None, target: str | None, output: str, seed: int = 0) -> i
     InputError, DemoError
         For files that cannot be used; when a process ends early, with the last lines of its log.
     """
-    say = _Narrator()
+    say = Narrator()
     pair = _pair(source, target, seed, say)
     folder = Path(output)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f'{folder}: cannot be made ({error.strerror}); choose another folder') from None
-    _isolate()
+    isolate()
     with tempfile.TemporaryDirectory() as scratch:
         clouds = _published(pair, Path(scratch) / 'pair.npz')
         commands = {
             'node': ['csgm_ros.ros.node', '--ros-args', '-p', f'seed:={seed}'],
             'sensors': ['csgm_ros.ros.client.sensors', str(clouds)],
         }
-        with _processes(commands, folder) as pids:
+        with processes(commands, folder) as pids:
             say(f'node is process {pids["node"]}, the sensors are process {pids["sensors"]}; {_domain()}')
             answer, published = _drive(say)
     if published is None:
@@ -81,7 +81,7 @@ def run(source: str | None, target: str | None, output: str, seed: int = 0) -> i
     return _conclude(pair, published, folder, say)
 
 
-def _pair(source: str | None, target: str | None, seed: int, say: _Narrator) -> Pair:
+def _pair(source: str | None, target: str | None, seed: int, say: Narrator) -> Pair:
     if bool(source) != bool(target):
         raise InputError('demo needs both --source and --target, or neither')
     if source and target:
@@ -110,7 +110,7 @@ def _published(pair: Pair, path: Path) -> Path:
     return path
 
 
-def _drive(say: _Narrator):
+def _drive(say: Narrator):
     """Take the node from unconfigured to a result; return its answer, and what it published or None."""
     from csgm_ros.ros.client.connection import Client
     from csgm_ros.ros.client.results import fetch
@@ -132,7 +132,7 @@ def _drive(say: _Narrator):
         return answer.message, fetch() if answer.success else None
 
 
-def _conclude(pair: Pair, published, folder: Path, say: _Narrator) -> int:
+def _conclude(pair: Pair, published, folder: Path, say: Narrator) -> int:
     """Print the result, write the files, and compare with the truth where it is known."""
     from csgm_ros.visual.pictures import before_after
 
@@ -161,7 +161,7 @@ def _conclude(pair: Pair, published, folder: Path, say: _Narrator) -> int:
     return ACCEPTED
 
 
-def _isolate() -> None:
+def isolate() -> None:
     """Keep this process and its children apart from any other ROS system."""
     os.environ['ROS_DOMAIN_ID'] = str(_free_domain())
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
@@ -187,7 +187,7 @@ def _domain() -> str:
 
 
 @contextmanager
-def _processes(commands: dict[str, list[str]], folder: Path):
+def processes(commands: dict[str, list[str]], folder: Path):
     """Run modules in processes of their own, each with a log; raise DemoError as soon as one of them ends."""
     running: dict[str, subprocess.Popen] = {}
 
@@ -219,11 +219,12 @@ def _processes(commands: dict[str, list[str]], folder: Path):
                 process.wait()
 
 
-class _Narrator:
+class Narrator:
     """Prints what happens, and when."""
 
     def __init__(self):
         self._start = time.monotonic()
 
     def __call__(self, text: str) -> None:
+        """Print one line."""
         print(f'[{time.monotonic() - self._start:5.1f} s] {text}', flush=True)

@@ -14,13 +14,13 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
 from csgm_ros.config import Config
-from csgm_ros.errors import Cancelled, CsgmError
-from csgm_ros.io.pointcloud2 import decode
+from csgm_ros.errors import Cancelled, CsgmError, InputError
+from csgm_ros.io.pointcloud2 import decode, stamp_of
 from csgm_ros.ros.lifecycle import guarded
 from csgm_ros.ros.worker import Job, Worker
 from csgm_ros.tracking.maps import PreparedMap, prepare_map
 from csgm_ros.tracking.session import Session
-from csgm_ros.types import Estimate, Prior, Similarity
+from csgm_ros.types import Cloud, Estimate, Prior, Similarity
 
 RECENT = 50  # frames that rate and latency are told of
 SPAN = 5.0  # seconds that the rate is told of
@@ -68,6 +68,14 @@ class Record:
     failed: int = 0
     last: Estimate | None = None
     complaint: str = ''
+
+
+def seen(message: PointCloud2) -> Cloud:
+    """Return the points of a frame: none where the sensor is covered, which is no fault of the message."""
+    try:
+        return decode(message)
+    except InputError:  # its layout was checked when it came
+        return Cloud(np.empty((0, 3)), None, message.header.frame_id, stamp_of(message))
 
 
 class Tracker:
@@ -176,7 +184,7 @@ class Tracker:
             return None
         for request in asked:
             guarded(request, self._node)(session)
-        cloud = decode(message)
+        cloud = seen(message)
         self._sensor_frame = cloud.frame_id
         moved = odometry(cloud.frame_id, cloud.stamp)
         pose = None if moved is None else moved.matrix

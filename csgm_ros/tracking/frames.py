@@ -21,12 +21,21 @@ class Frame:
     ----------
     points, normals : (N, 3) ndarray
         Voxel means, and unit normals towards the viewpoint; only where a normal is defined.
+    counts : (N,) ndarray
+        Returns in each voxel: what is near is seen by many.
     view : View
     """
 
     points: np.ndarray
     normals: np.ndarray
+    counts: np.ndarray
     view: View
+
+    def sample(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return (count, 3) points and normals that stand for the returns, not for the surface that they cover."""
+        total = np.cumsum(self.counts)
+        chosen = np.searchsorted(total, (np.arange(count) + 0.5) * (total[-1] / count))
+        return self.points[chosen], self.normals[chosen]
 
 
 def prepared(points: np.ndarray, voxel: float) -> Frame:
@@ -34,13 +43,13 @@ def prepared(points: np.ndarray, voxel: float) -> Frame:
     return Frame(*_surface(points, voxel), views.look(points))
 
 
-def _surface(points: np.ndarray, voxel: float) -> tuple[np.ndarray, np.ndarray]:
+def _surface(points: np.ndarray, voxel: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     grid = voxelize(points, voxel)
     normals = plane_normals(grid, np.zeros(len(grid.keys), np.int32))
     means = grid.world(grid.centroids)
     normals *= -np.sign((means * normals).sum(1, keepdims=True))
     defined = np.abs(normals).sum(1) > 0.5
-    return means[defined], normals[defined]
+    return means[defined], normals[defined], np.bincount(grid.point_voxels, minlength=len(means))[defined]
 
 
 def resolution(points: np.ndarray, share: float) -> float:

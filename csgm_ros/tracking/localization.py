@@ -24,6 +24,7 @@ SCALES = (0.85, 0.92, 1.08, 1.17)  # tried around the scale of a hypothesis
 VIEWS = 6
 FEW, MANY = 1200, 4000
 GLANCE = 300
+OWN = 1500
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +38,15 @@ class Submap:
     levels : tuple of Surface
         Fine to coarse.
     views : tuple of View
+    points, normals : (N, 3) ndarray
+        Sample that stands for what the frames returned.
     """
 
     voxel: float
     levels: tuple[Surface, ...]
     views: tuple[View, ...]
+    points: np.ndarray
+    normals: np.ndarray
 
 
 class Place(NamedTuple):
@@ -61,7 +66,11 @@ def joined(parts: Sequence[tuple], voxel: float) -> Submap:
         points, normals = levels[-1].points, levels[-1].normals
     chosen = np.unique(np.linspace(0, len(parts) - 1, VIEWS).round().astype(int))
     views = tuple(parts[k][0].view._replace(matrix=parts[k][1]) for k in chosen)
-    return Submap(voxel, tuple(levels), views)
+    samples = [frame.sample(OWN // len(parts)) for frame, _ in parts]
+    moves = [m for _, m in parts]
+    own = np.concatenate([points @ m[:3, :3].T + m[:3, 3] for (points, _), m in zip(samples, moves, strict=True)])
+    turned = np.concatenate([normals @ m[:3, :3].T for (_, normals), m in zip(samples, moves, strict=True)])
+    return Submap(voxel, tuple(levels), views, own, turned)
 
 
 class Localizer:
@@ -80,8 +89,8 @@ class Localizer:
         order = rng.permutation(len(prepared.points))[:MANY]
         self._points, self._normals = prepared.points[order], prepared.normals[order]
         fine = submap.levels[1]
-        order = rng.permutation(len(fine.points))[:1500]
-        self._own = fine.points[order], fine.normals[order]
+        order = rng.permutation(len(fine.points))[:OWN]
+        self._own = fine.points[order], fine.normals[order]  # evenly over the surface, as that tells places apart
 
     def best(self, hypotheses: np.ndarray, count: int = 8, *, fixed_scale: bool = False) -> list[Place]:
         """Refine (H, 4, 4) hypotheses (submap to map) and return the best different places, best first."""
@@ -126,6 +135,11 @@ class Localizer:
         """Return a place with what speaks for it."""
         near = self.level(scale_of(matrix)).near
         return Place(matrix, weigh(*self._own, near, self._points, matrix, self._submap.views))
+
+    def seen(self, matrix: np.ndarray) -> Evidence:
+        """Return what the frames say of a place, comparable to what a single one says while tracking."""
+        near, submap = self.level(scale_of(matrix)).near, self._submap
+        return weigh(submap.points, submap.normals, near, self._points, matrix, submap.views)
 
     def level(self, scale: float) -> Level:
         """Return the map at about a scale, map units a metre."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from typing import NamedTuple
 
@@ -10,11 +11,13 @@ import numpy as np
 from csgm_ros.config import Config, replaced
 from csgm_ros.errors import Cancelled
 from csgm_ros.registration import register
+from csgm_ros.tracking.evidence import Evidence
 from csgm_ros.tracking.localization import Localizer, Place, Submap, scale_of, scaling
 from csgm_ros.tracking.maps import PreparedMap
 from csgm_ros.types import Prior, Similarity
 
 TURNS = 700  # tried about a pose that is roughly known: with 90 degrees of freedom, 15 to 20 degrees apart
+STANDING_OUT = 1.35  # score over that of the next different place, for a place near the prior
 SIGMA = 1.0, 45.0, 0.05  # of a sensor that was lost where it was last seen: metres, degrees, relative scale
 
 
@@ -33,6 +36,8 @@ class Query(NamedTuple):
     enough : tuple of float
         Closeness on the map and agreement of a place that is as good as those that were tracked; the search ends
         with the first. Infinite while none was tracked.
+    wide : bool
+        Search everywhere, too.
     """
 
     submap: Submap
@@ -40,6 +45,7 @@ class Query(NamedTuple):
     prior: Prior | None
     sensor: np.ndarray
     enough: tuple[float, float] = (np.inf, np.inf)
+    wide: bool = True
 
 
 class Found(NamedTuple):
@@ -63,17 +69,20 @@ def search(
     known = query.scale is not None
     if query.prior is not None and known:
         near = localizer.best(localizer.promising(around(query, rng)), fixed_scale=True)
-        if near and _enough(near[0], query):
+        if near and _stands_out(near) and _enough(localizer.seen(near[0].matrix), query):
             return Found(near[0].matrix, 'near where it was expected')
+    if not query.wide:
+        return Found(None, 'not near where it was expected')
     points = query.submap.levels[0].points * (query.scale if known else 1.0)
-    config = replaced(config, {'scale.estimate_scale': not known})
+    threads = config.threads or max((os.cpu_count() or 1) - 1, 1)  # frames keep coming meanwhile
+    config = replaced(config, {'scale.estimate_scale': not known, 'threads': threads})
     for prior in (None,) if known or query.prior is None else (of_submap(query), None):
         result = register(points, prepared.points, config, seed=seed, on_progress=progress, prior=prior)
         if result.accepted:
             break
     matrix = result.T_target_source @ scaling(1.0 if query.scale is None else query.scale, np.zeros(3))
     best = localizer.best(matrix[None], fixed_scale=known)
-    if best and (result.accepted or _enough(best[0], query)):
+    if best and (result.accepted or _enough(localizer.seen(best[0].matrix), query)):
         return Found(best[0].matrix, result.reason if result.accepted else 'as close as where it was tracked')
     return Found(None, result.reason)
 
@@ -108,5 +117,10 @@ def expected(matrix: np.ndarray) -> Prior:
     return Prior(Similarity.from_matrix(matrix), (SIGMA[0] * scale_of(matrix), *SIGMA[1:]))
 
 
-def _enough(place: Place, query: Query) -> bool:
-    return place.evidence.on_map >= query.enough[0] and place.evidence.agreement >= query.enough[1]
+def _stands_out(places: list[Place]) -> bool:
+    """Tell whether the best of the different places is much better than the next."""
+    return len(places) < 2 or places[0].evidence.score >= STANDING_OUT * places[1].evidence.score
+
+
+def _enough(evidence: Evidence, query: Query) -> bool:
+    return evidence.on_map >= query.enough[0] and evidence.agreement >= query.enough[1]

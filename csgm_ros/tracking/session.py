@@ -79,6 +79,7 @@ class Session:
         self._job: Job | None = None
         self._covariance: np.ndarray | None = None
         self._typical = np.zeros(3)  # closeness, share and agreement of tracked frames
+        self._glanced = False  # whether it was looked for near the prior since it was lost
         self._closed = threading.Event()
 
     @property
@@ -202,10 +203,8 @@ class Session:
         return SIMILAR * self._typical[0], 1.0 - 2.0 * (1.0 - self._typical[2])
 
     def _evidence(self, frame: Frame) -> Evidence:
-        order = self._rng.permutation(len(frame.points))[:1000]
-        points = self._level.points
         pose = self._place @ self._odometry.matrix
-        return weigh(frame.points[order], frame.normals[order], self._level.near, points, pose, (frame.view,))
+        return weigh(*frame.sample(1000), self._level.near, self._level.points, pose, (frame.view,))
 
     def _refine(self, frame: Frame) -> None:
         """Lay the map in view on what was seen lately."""
@@ -257,6 +256,7 @@ class Session:
 
     def _lose(self, state: str, reason: str) -> None:
         self._segment += 1
+        self._glanced = False
         self._place, self._confirmed = None, 0
         self._state, self._reason = state, reason
 
@@ -266,12 +266,15 @@ class Session:
         stale = self._place is None or stamp - self._supported > part.lost_after
         if self._job is not None or not stale:
             return
-        wanted = part.first_seconds * (0.5 if self._scale_information else 1.0)
-        if self._recent[-1][0] - self._recent[0][0] < wanted:
+        known = self._scale_information > 0
+        glance = known and self._prior is not None and not self._glanced
+        wide = self._recent[-1][0] - self._recent[0][0] >= part.first_seconds * (0.5 if known else 1.0)
+        if not wide and not (glance and len(self._recent) > 1):
             return
+        self._glanced = True
         submap = localization.joined([(frame, matrix) for _, frame, matrix in self._recent], self._voxel)
-        scale = self._scale if self._scale_information > 0 else None
-        query = Query(submap, scale, self._prior, self._odometry.matrix, self._enough())
+        scale = self._scale if known else None
+        query = Query(submap, scale, self._prior, self._odometry.matrix, self._enough(), wide)
         inputs = query, self._map, self.config, self._seed, self._closed
         self._job = Job(self._segment, _submitted(self._executor, *inputs))
         if self._state == LOST:

@@ -70,7 +70,9 @@ class Walker:
         """Send a frame and wait until the node has worked on it."""
         before = self._worked_on()
         stamp = int(1e9 * (100 + self._kitchen.stamps[number]))
-        self._frames.publish(cloud_message(header(SENSOR, stamp), self._kitchen.points(number).astype(np.float32)))
+        points = self._kitchen.points(number).astype(np.float32)
+        points[points[:, 2] == 0] = np.nan  # a covered sensor sends nothing but this
+        self._frames.publish(cloud_message(header(SENSOR, stamp), points))
         until(lambda: self._worked_on() > before, f'frame {number} to be worked on', 60.0)
 
     def _worked_on(self):
