@@ -79,11 +79,19 @@ def harvest(case: Case, cache: Path) -> None:
     if path.exists():
         return
     case = thinned(case)
-    view, first = view_of(case), searched(case)
+    view, first = view_of(case), searched(case) if _is_searched(case) else None
     trials = ([first] if first else []) + planted(case, view)
     _keep(judged(case, trials, view), cache)
     save(path, case, trials)
     print(f'harvested {case.name}', file=sys.stderr, flush=True)
+
+
+def _is_searched(case: Case) -> bool:
+    """Searching costs most: the first two places of each kind, and a third of the unrelated clouds."""
+    number = case.name.rpartition('-')[2]
+    if case.kind in ('unrelated', 'frame in map'):
+        return case.name.encode()[-1] % 3 == 0
+    return not number.isdigit() or int(number) < 2
 
 
 def findings_of(cache: Path, half: int | None = None) -> list[dict]:

@@ -22,6 +22,7 @@ SAME_AXIS = 0.95  # cosine from which two directions are one
 OTHER_SCALE = 0.1  # |log factor| from which another scale is another answer
 MIN_INLIERS = 20
 LOGISTIC = (-5.2, 7.4)  # bias, and slope over the log of the margin; other terms added nothing
+LACKING, CONTRADICTED, AMBIGUOUS = 0.02, 0.1, 0.5  # most confidence in what is rejected, by why
 NOTHING = 0.05  # the least score, relative to the winner's, that something different has
 NEARBY = 6.0  # cells of displacement up to which a transform is the same but for bent clouds and noise ...
 NEARBY_MARGIN = 1.15  # ... and need not be so much worse
@@ -69,9 +70,27 @@ def decide(
         evidence.rmse,
         margin(findings),
         _terms(findings, limits),
-        sure if not doubts else min(sure, 0.5),
+        sure if not doubts else min(sure, _most_confidence(findings, limits)),
         undetermined(findings, limits, units) if doubts else None,
     )
+
+
+def _lacking(findings: Findings, limits: VerificationConfig) -> bool:
+    return findings.agreement.inliers < MIN_INLIERS or findings.agreement.planes < limits.min_planes
+
+
+def _most_confidence(findings: Findings, limits: VerificationConfig) -> float:
+    """Return the most confidence in a rejected transform: the margin says nothing where there is little to compare."""
+    if _lacking(findings, limits):
+        return LACKING
+    near = any(rival.displacement <= NEARBY and rival.ratio > 1.0 for rival in findings.rivals)
+    measured = (
+        (findings.seen_through, limits.max_seen_through),
+        (findings.mirrored, limits.max_mirrored),
+        (findings.half_shift, limits.max_half_shift),
+        (_other_scale_ratio(findings), limits.max_scale_ratio),
+    )
+    return CONTRADICTED if near or any(value > limit for value, limit in measured) else AMBIGUOUS
 
 
 def _terms(findings: Findings, limits: VerificationConfig) -> tuple[Term, ...]:

@@ -92,6 +92,21 @@ def test_each_doubt_rejects_and_says_so(given, said):
 
 
 @pytest.mark.parametrize(
+    ('given', 'most'),
+    [
+        (findings(agreement=agreement(inliers=0, planes=0.0)), 0.02),  # nothing competes where nothing overlaps
+        (findings(agreement=agreement(planes=1.0)), 0.02),
+        (findings(seen_through=0.5), 0.1),
+        (findings(Rival(4.0, 3.0)), 0.1),
+        (findings(found(0.5)), 0.5),
+        (findings(found(1.0)), 0.01),
+    ],
+)
+def test_what_is_rejected_has_as_little_confidence_as_its_reason_leaves(given, most):
+    assert judged(given).confidence <= most
+
+
+@pytest.mark.parametrize(
     ('given', 'kind', 'low', 'high'),
     [
         (findings(slid(0.9, 0.6), slid(0.8, -1.0), slid(0.1, 1.2, Y)), 'slide', -2.0, 1.2),
