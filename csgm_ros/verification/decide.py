@@ -142,6 +142,10 @@ def _doubts(findings: Findings, limits: VerificationConfig, units: Units, *, est
             yield f'ambiguous: scale not determined, between {low * units.scale:.3g} and {high * units.scale:.3g}'
         else:
             yield f'ambiguous: it fits {ratio:.2f} times as well {low:.2g} to {high:.2g} times as large'
+    elif estimate_scale and findings.scale_curve:
+        factor, ratio = max(findings.scale_curve, key=lambda point: point[1])
+        if ratio > NEARBY_MARGIN:
+            yield f'not settled: it fits {ratio:.2f} times as well {factor:.2f} times as large'
     if findings.half_shift > limits.max_half_shift:
         yield (
             'ambiguous: the halves of the overlap put it in different places '
