@@ -81,6 +81,7 @@ setup(
         'fuzz': ['atheris'],
         'peers': ['kiss-matcher', 'small-gicp', 'kiss-icp', 'pycpd', 'jrmpc'],
         'dev': [
+            'uv',
             'ruff',
             'mypy',
             *DOCS,

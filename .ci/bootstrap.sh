@@ -51,15 +51,16 @@ make_venv() {
   "$python" -m venv --clear "$VENV"
 }
 
-# Prints one counted line a package (rewritten in place on a terminal); the whole output stays in a log.
+# uv, pinned by the lock like all else, takes a fraction of pip's time; where it does not get through (a mirror that
+# only pip was told of), pip does the same. The whole output stays in a log.
 install_lock() {
-  local log=$VENV/install.log end='\n'
-  if [ -t 1 ]; then end='\r'; fi
-  "$VENV/bin/python" -m pip install --require-hashes -r "$LOCK" 2>&1 | tee "$log" |
-    awk -v total="$(grep -c == "$LOCK")" -v end="$end" '
-      /^(Collecting|Requirement already satisfied)/ { n++; name = ($1 == "Collecting") ? $2 : $4
-        sub(/[=<>;(].*/, "", name); if (end == "\r" || n % 20 == 0) printf "      %3d/%d %-50s" end, n, total, name; fflush() }
-      /^Installing collected/ { printf "      %-58s\n", "unpacking (the longest part)"; fflush() }' ||
+  local log=$VENV/install.log
+  if "$VENV/bin/python" -m pip install -q --require-hashes -r <(sed -n '/^uv==/,/[^\\]$/p' "$LOCK") > "$log" 2>&1 &&
+    "$VENV/bin/uv" pip install --python "$VENV/bin/python" --compile-bytecode --require-hashes -r "$LOCK" 2>&1 |
+      tee -a "$log" | grep -vE '^ *[+~-] '
+  then return; fi
+  echo '      uv did not get through; the same by pip, which takes some minutes'
+  "$VENV/bin/python" -m pip install --require-hashes -r "$LOCK" >> "$log" 2>&1 ||
     { tail -n 15 "$log" >&2; die "pip failed; is the network there? The whole log: $log"; }
 }
 
