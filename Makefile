@@ -2,6 +2,7 @@
 VENV ?= .venv
 PYTHON ?=
 TESTS ?= test
+JOBS ?= 2
 BENCH ?= benchmarks
 ARGS ?=
 
@@ -16,7 +17,7 @@ unexport PYTHONPATH PYTHONHOME AMENT_PREFIX_PATH LD_LIBRARY_PATH RMW_IMPLEMENTAT
 
 help:
 	@echo 'make demo    the live node registers a simulated Kinect and a simulated SfM cloud'
-	@echo 'make test    every test (TESTS=test/test_files.py for some)'
+	@echo 'make test    every test (TESTS=test/io/test_files.py for some, JOBS=1 for one at a time)'
 	@echo 'make lint    style, format, docstrings, types, docs'
 	@echo 'make docs    build/docs/index.html by Sphinx'
 	@echo 'make bench   measured figures, with their references beside them (hours; ARGS=--quick for minutes)'
@@ -39,7 +40,7 @@ demo: $(READY)
 	@$(PY) -m csgm_ros.cli.main demo
 
 test: $(READY) $(TF2)
-	@$(PY) -m pytest $(TESTS)
+	@$(PY) -m pytest -n $(JOBS) --dist loadfile $(TESTS)
 
 lint: $(READY) docs
 	@$(PY) -m ruff check . && $(PY) -m ruff format --check .
