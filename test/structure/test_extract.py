@@ -8,6 +8,7 @@ from csgm_ros import registration
 from csgm_ros.attempts import Attempt
 from csgm_ros.config import profile, replaced
 from csgm_ros.graph.build import build
+from csgm_ros.progress import Clock
 from csgm_ros.scale import normalizations
 from csgm_ros.structure.extract import cut, describe
 from csgm_ros.types import NormalizedPair
@@ -51,5 +52,5 @@ def test_no_cloud_has_more_nodes_than_matching_can_take():
     cloud = ball(rng, (0.0, 0.0, 0.0), 1.0, 1500.0)
     units = normalizations(cloud, cloud, config.scale)
     pair = NormalizedPair((cloud, cloud), units)
-    sides = registration._structures(pair, Attempt(), config, np.random.default_rng(0))
+    sides = registration._structures(pair, Attempt(), config, np.random.default_rng(0), Clock())
     assert all(20 <= len(side.nodes) <= 60 for side in sides)
