@@ -24,7 +24,7 @@ def licence(package: Distribution) -> str:
     """Return the licence as the package states it, in one line."""
     facts = package.metadata
     classified = [text.rpartition(' :: ')[2] for text in facts.get_all('Classifier', []) if text.startswith('License')]
-    manifest = Path(sys.prefix, 'share', re.sub('^ros-[a-z]+-', '', package.name).replace('-', '_'), 'package.xml')
+    manifest = Path(sys.prefix, 'share', re.sub('^ros-(jazzy-)?', '', package.name).replace('-', '_'), 'package.xml')
     if manifest.is_file():  # the wheels of ROS packages state it there alone
         classified += [element.text for element in ElementTree.parse(manifest).iter('license')]
     stated = facts.get('License-Expression') or ', '.join(classified) or facts.get('License') or 'not stated'
