@@ -138,12 +138,12 @@ def _attempts(
     sides = zip(pair.clouds, pair.normalizations, strict=True)
     source_part, target_part = (unit.apply(cloud) for cloud, unit in sides)
     ladder = Ladder(source_part, target_part, seed)
+    expected = prior and _normalized(prior, pair)
     views: dict[int, View] = {}
     for number, attempt in enumerate(schedule(pair, config)):
         clock.begin(number)
         try:
             rng = np.random.default_rng([seed, number] if number else seed)  # a stream of its own for each attempt
-            expected = prior and _normalized(prior, pair)
             view, result = _attempt(pair, ladder, viewpoints, expected, attempt, views, config, rng, clock, details)
         except DegenerateCloudError:
             if not results:

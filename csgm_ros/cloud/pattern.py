@@ -7,10 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 RAY, RING = 1e-4, 0.02  # bins of tangents and of elevations (degrees)
-EMPTY, GAPS = (
-    0.25,
-    0.4,
-)  # of the mean of a bin, below which it is empty; of the bins, that are so between columns, rows or rings
+EMPTY = 0.25  # of the mean of a bin, below which it is empty
+GAPS = 0.4  # of the bins, that are empty between columns, rows or rings
 FEWEST, MOST_RINGS = 4, 256
 MOST_BINS = 100_000
 EVEN = 0.25  # variation of the spacing below which a cloud is even

@@ -60,11 +60,7 @@ def run(source: str | None, target: str | None, output: str, seed: int = 0) -> i
     """
     say = Narrator()
     pair = _pair(source, target, seed, say)
-    folder = Path(output)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f'{folder}: cannot be made ({error.strerror}); choose another folder') from None
+    folder = output_folder(output)
     isolate()
     with tempfile.TemporaryDirectory() as scratch:
         clouds = _published(pair, Path(scratch) / 'pair.npz')
@@ -116,11 +112,7 @@ def _drive(say: Narrator):
     from csgm_ros.ros.client.results import fetch
 
     with Client() as client:
-        say('configuring the node; the first time it compiles its kernels, which may take a minute')
-        for step in (client.configure, client.activate):
-            answer = step()
-            if not answer.success:
-                raise DemoError(f'the node refused: {answer.message}; its log tells why')
+        activate(client, say)
         say('active; waiting for both clouds')
         end = time.monotonic() + PATIENCE
         while not all(int(client.status().values[name]['received']) for name in ('source', 'target')):
@@ -159,6 +151,25 @@ def _conclude(pair: Pair, published, folder: Path, say: Narrator) -> int:
         print(f'csgm: accepted, but wrong against the known truth: {", ".join(wrong)}', file=sys.stderr)
         return FAILED
     return ACCEPTED
+
+
+def output_folder(output: str) -> Path:
+    """Return the folder to write to, made where it is missing."""
+    folder = Path(output)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f'{folder}: cannot be made ({error.strerror}); choose another folder') from None
+    return folder
+
+
+def activate(client, say: Narrator) -> None:
+    """Take the node from unconfigured to active."""
+    say('configuring the node; the first time it compiles its kernels, which may take a minute')
+    for step in (client.configure, client.activate):
+        answer = step()
+        if not answer.success:
+            raise DemoError(f'the node refused: {answer.message}; its log tells why')
 
 
 def isolate() -> None:

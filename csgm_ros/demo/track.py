@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from csgm_ros.demo.run import ACCEPTED, FAILED, DemoError, Narrator, isolate, processes
+from csgm_ros.demo.run import ACCEPTED, FAILED, DemoError, Narrator, activate, isolate, output_folder, processes
 from csgm_ros.demo.walk import Walk, walk
-from csgm_ros.errors import InputError
+from csgm_ros.io.results import errors
 
 RIGHT = 0.1, 5.0  # metres and degrees up to which a pose is right
 NOTICED = 1.0  # seconds within which it must be noticed that the place is lost
@@ -47,11 +47,7 @@ def run(output: str, seed: int = 0) -> int:
     InputError, DemoError
         For a folder that cannot be made; when a process ends early, with the last lines of its log.
     """
-    say, folder = Narrator(), Path(output)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f'{folder}: cannot be made ({error.strerror}); choose another folder') from None
+    say, folder = Narrator(), output_folder(output)
     say('simulating a room, its photos, and a depth sensor that is carried through it (takes a while)')
     made = walk(seed)
     say(f'{len(made.stamps)} frames in {made.stamps[-1]:.0f} s, {made.blocked.sum()} of them blocked; then kidnapped')
@@ -75,11 +71,7 @@ def _follow(made: Walk, say: Narrator) -> list:
     from csgm_ros.ros.client.poses import Listener
 
     with Client() as client, Listener() as listener:
-        say('configuring the node; the first time it compiles its kernels, which may take a minute')
-        for step in (client.configure, client.activate):
-            answer = step()
-            if not answer.success:
-                raise DemoError(f'the node refused: {answer.message}; its log tells why')
+        activate(client, say)
         end, before = time.monotonic() + made.stamps[-1] + PATIENCE, ''
         while True:
             values = client.status().values
@@ -108,9 +100,8 @@ def told(made: Walk, heard: list) -> Told:
         number = int(np.argmin(np.abs(made.stamps - (stamp / 1e9 - BEGIN))))
         truth = made.truth[number]
         places[number] = made.gauge.inverse().apply(place.translation[None])[0]
-        metres[number] = np.linalg.norm(place.translation - truth.translation) / truth.scale
-        cosine = (np.trace(place.rotation @ truth.rotation.T) - 1.0) / 2.0
-        degrees[number] = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        off = errors(place, truth, np.zeros((1, 3)))  # of the sensor itself
+        metres[number], degrees[number] = off['mean_displacement'] / truth.scale, off['rotation_deg']
     return Told(np.isfinite(metres), places, metres, degrees)
 
 

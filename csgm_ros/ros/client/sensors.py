@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 
 import numpy as np
-import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
+from csgm_ros.ros.client.standin import publish_file
 from csgm_ros.ros.cloud_msgs import cloud_message, header
-from csgm_ros.ros.dds import use_large_buffers
 from csgm_ros.ros.qos import LATCHED
 
 PERIOD = 0.5  # seconds between two frames of the target
@@ -50,19 +47,7 @@ class Sensors(Node):
 
 def main(arguments: list[str] | None = None) -> int:
     """Publish the clouds of an .npz file until SIGINT or SIGTERM."""
-    path = (sys.argv[1:] if arguments is None else arguments)[0]
-    with np.load(path, allow_pickle=False) as file:
-        clouds = {name: file[name] for name in file.files}
-    use_large_buffers()
-    rclpy.init()
-    node = Sensors(clouds)
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-    node.destroy_node()
-    rclpy.try_shutdown()
-    return 0
+    return publish_file(Sensors, arguments)
 
 
 if __name__ == '__main__':

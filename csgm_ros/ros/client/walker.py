@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import time
 
-import numpy as np
-import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
+from csgm_ros.ros.client.standin import publish_file
 from csgm_ros.ros.cloud_msgs import cloud_message, header
-from csgm_ros.ros.dds import use_large_buffers
 from csgm_ros.ros.qos import LATCHED
 
 SENSOR, MAP = 'camera_depth_optical_frame', 'map'
@@ -53,19 +49,7 @@ class Walker(Node):
 
 def main(arguments: list[str] | None = None) -> int:
     """Publish what an .npz file holds until SIGINT or SIGTERM."""
-    path = (sys.argv[1:] if arguments is None else arguments)[0]
-    with np.load(path, allow_pickle=False) as file:
-        recorded = {name: file[name] for name in file.files}
-    use_large_buffers()
-    rclpy.init()
-    node = Walker(recorded)
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-    node.destroy_node()
-    rclpy.try_shutdown()
-    return 0
+    return publish_file(Walker, arguments)
 
 
 if __name__ == '__main__':
