@@ -353,6 +353,9 @@ class NodeConfig(Checked):
     )
     publish_tf: bool = param(False, 'send the rigid part to /tf_static; TF cannot carry the scale')
     child_frame: str = param('', "frame of the scaled source; empty for the source's frame with _scaled appended")
+    report_folder: str = param(
+        '', 'folder that ~/save_report writes the page of the last registration to; empty: none is kept for it'
+    )
     fixed_frame: str = param('', 'frame that accumulated clouds are moved into through TF; empty: they share a frame')
     source_viewpoint: str = param(
         '',

@@ -19,7 +19,7 @@ ROOMS = {
     'io': set(),
     'visual': {'io'},
     'demo': {'io', 'visual', 'ros'},
-    'ros': {'registration', 'io', 'tracking'},
+    'ros': {'registration', 'io', 'visual', 'tracking'},
     'cli': {'registration', 'scale', 'structure', 'io', 'visual', 'demo', 'tracking', 'batch'},
     'tracking': {'registration', 'io'},
     'batch': {'registration', 'io', 'visual'},

@@ -38,7 +38,7 @@ def test_topics_are_those_of_the_node():
 
     topics = outputs.TOPICS | {name: kind for name, (kind, _) in poses.TOPICS.items()}
     told = {name.removeprefix('~/') for row in ROWS for name in re.findall(r'`(~/\w+)`', row[0])}
-    assert set(topics) | {'register', 'cancel'} == told
+    assert set(topics) | {'register', 'cancel', 'save_report'} == told
     assert '`~/relocalize`' in TEXT
     for row in ROWS:
         name = row[0].strip('`').removeprefix('~/')

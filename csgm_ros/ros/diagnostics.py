@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -31,8 +32,11 @@ def registration_status(name: str, state: str, registration: Registration) -> Di
     values = {'state': state, 'accepted': record.accepted, 'rejected': record.rejected, 'failed': record.failed}
     values |= record.last
     if job is not None:
-        text = f'registering: {job.stage}, {100 * job.fraction:.0f} %, {job.seconds:.1f} s'
+        left = job.seconds_left
+        soon = f', about {left:.0f} s left' if left < math.inf else ''
+        text = f'registering: {job.stage}, {100 * job.fraction:.0f} %, {job.seconds:.1f} s{soon}'
         values |= {'stage': job.stage, 'progress': f'{job.fraction:.2f}', 'running seconds': f'{job.seconds:.2f}'}
+        values['seconds left'] = f'{left:.1f}' if left < math.inf else 'unknown'
         return status(name, OK, text, values)
     return status(name, record.level, record.text, values)
 

@@ -40,7 +40,11 @@ class Pairing:
         self._pairing = threading.Lock()  # the two inputs are received in different threads
         self._paired: tuple[int, int] | None = None  # clouds received of each input at the last automatic request
         busy = ReentrantCallbackGroup()  # a waiting ~/register must not keep a second one from its answer
-        for name, method in (('register', self._on_register), ('cancel', self._on_cancel)):
+        for name, method in (
+            ('register', self._on_register),
+            ('cancel', self._on_cancel),
+            ('save_report', self._on_save_report),
+        ):
             node.create_service(Trigger, f'~/{name}', answering(method, node), callback_group=busy)
 
     def _window(self, name: str) -> Window:
@@ -110,6 +114,7 @@ class Pairing:
             prior,
             (settings.source_viewpoint, settings.target_viewpoint),
             self._frames.lookup,
+            bool(settings.report_folder),
         )
 
     def _placing(self, fixed: str) -> Callable[[Cloud], Cloud] | None:
@@ -137,6 +142,19 @@ class Pairing:
     def _on_cancel(self) -> tuple[bool, str]:
         cancelled = self._registration.cancel('asked by ~/cancel')
         return cancelled, 'cancelled' if cancelled else 'no registration is running'
+
+    def _on_save_report(self) -> tuple[bool, str]:
+        folder, outcome = self._settings.node_config.report_folder, self._registration.kept
+        if not folder:
+            return False, 'report_folder is empty; set it, register, and call again'
+        if outcome is None:
+            return False, 'nothing was registered since report_folder is set; call ~/register first'
+        from csgm_ros.ros.reports import save_report
+
+        try:
+            return True, str(save_report(folder, outcome))
+        except InputError as error:
+            return False, str(error)
 
     def _on_cloud(self) -> None:
         """Start a registration where the trigger parameter asks for one."""

@@ -38,6 +38,7 @@ class Request:
     prior: Prior | None = None
     sensors: tuple[str, str] = ('', '')  # frames in whose origins source and target were seen from
     lookup: Callable[[str, str, int], Similarity] | None = None  # what TF tells, see Frames.lookup
+    details: bool = False  # keep the outcome for a report
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,16 +84,22 @@ class Registration:
         self._worker = Worker()
         self._lock = threading.Lock()
         self._record = Record()
+        self._kept: Outcome | None = None
 
     @property
     def record(self) -> Record:
         """What is to be said now."""
         return self._record
 
+    @property
+    def kept(self) -> Outcome | None:
+        """The last outcome, where its request asked for details."""
+        return self._kept
+
     def forget(self) -> None:
         """Forget what was registered so far."""
         with self._lock:
-            self._record = Record()
+            self._record, self._kept = Record(), None
 
     @property
     def job(self) -> Job | None:
@@ -152,6 +159,7 @@ class Registration:
             self._note_result(outcome)
 
     def _note_result(self, outcome: Outcome) -> None:
+        self._kept = None if outcome.result.details is None else outcome
         accepted, text = outcome.result.accepted, describe(outcome.result)
         level = DiagnosticStatus.OK if accepted else DiagnosticStatus.WARN
         self._note(count='accepted' if accepted else 'rejected', level=level, text=text, last=facts(outcome))
@@ -183,6 +191,7 @@ def run(request: Request, progress: Callable[[str, float], None]) -> Outcome:
         seed=request.seed,
         on_progress=progress,
         prior=request.prior,
+        details=request.details,
         source_viewpoint=viewpoint_of(request, 'source'),
         target_viewpoint=viewpoint_of(request, 'target'),
     )

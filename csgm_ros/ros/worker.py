@@ -37,6 +37,11 @@ class Job:
         """Seconds since it started."""
         return 0.0 if self.started is None else time.monotonic() - self.started
 
+    @property
+    def seconds_left(self) -> float:
+        """Seconds that it will take if it goes on as it did; infinite while nothing is done."""
+        return self.seconds * (1.0 - self.fraction) / self.fraction if self.fraction > 0.0 else float('inf')
+
     def progress(self, stage: str, fraction: float) -> None:
         """Note the progress; raise :class:`Cancelled` where the job was cancelled."""
         if self.error is not None:

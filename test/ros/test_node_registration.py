@@ -3,6 +3,7 @@
 import json
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 import csgm_ros
 from csgm_ros.config import replaced
 from csgm_ros.io.pointcloud2 import decode, stamp_of
-from csgm_ros.ros.client.commands import Client
+from csgm_ros.ros.client.commands import Answer, Client
 from csgm_ros.ros.cloud_msgs import cloud_message, header
 from csgm_ros.types import Similarity
 
@@ -33,10 +34,13 @@ def transform_of(message):
     return Similarity.from_quaternion(quaternion, np.array([translation.x, translation.y, translation.z]))
 
 
-def test_outputs_are_right_and_consistent_and_kept_for_late_joiners(active, ros):
+def test_outputs_are_right_and_consistent_and_kept_for_late_joiners(active, ros, tmp_path):
     source, target, truth = easy_pair()
     send_pair(ros)
     wait_received(active)
+    assert active.save_report() == Answer(False, 'report_folder is empty; set it, register, and call again')
+    assert active.set_parameters({'report_folder': str(tmp_path / 'new' / 'reports')}).success
+    assert 'nothing was registered' in active.save_report().message
     answer = active.register()
     assert answer.success, answer.message
     assert answer.message.startswith('accepted: scale ')
@@ -69,6 +73,17 @@ def test_outputs_are_right_and_consistent_and_kept_for_late_joiners(active, ros)
     assert values['verdict'] == 'accepted'
     assert values['stamp'] == '7.250000000'
     assert float(values['scale']) == pytest.approx(scale, rel=1e-6)
+
+    answer = active.save_report()
+    assert answer.success, answer.message
+    assert answer.message == str(tmp_path / 'new' / 'reports' / 'report_7_250000000.html')
+    page = Path(answer.message).read_text()
+    assert f'Accepted: {values["reason"]}' in page
+    assert 'source sfm' in page
+    assert '<section id="supervoxels">' in page
+    (tmp_path / 'file').write_text('')
+    assert active.set_parameters({'report_folder': str(tmp_path / 'file')}).success
+    assert 'cannot be made' in active.save_report().message
 
 
 def test_node_gives_what_the_function_gives(active, ros):
@@ -161,6 +176,7 @@ def test_progress_and_timings_are_in_diagnostics(active, ros):
     values = active.status().values['registration']
     assert values['message'].startswith('registering: ')
     assert 0.0 <= float(values['progress']) <= 1.0
+    assert values['seconds left'] == 'unknown' or float(values['seconds left']) >= 0.0
     active.cancel()
     thread.join(30)
     assert active.set_parameters(QUICK).success

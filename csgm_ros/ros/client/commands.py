@@ -21,6 +21,7 @@ COMMANDS = {
     'shutdown': 'finalize the node',
     'register': 'register the newest pair and wait for the verdict',
     'cancel': 'cancel the running registration',
+    'save_report': 'write the page of the last registration into report_folder',
     'relocalize': 'let a node that tracks search for its place again',
     'status': 'state, verdict and how the inputs do',
 }
@@ -48,7 +49,9 @@ def _command(name: str) -> Callable[..., Answer]:
     return command
 
 
-configure, activate, deactivate, cleanup, shutdown, register, cancel, relocalize = map(_command, list(COMMANDS)[:-1])
+configure, activate, deactivate, cleanup, shutdown, register, cancel, save_report, relocalize = map(
+    _command, list(COMMANDS)[:-1]
+)
 
 
 def status(node: str = NODE, timeout: float | None = None) -> Status:

@@ -23,6 +23,8 @@ from csgm_ros.ros.dds import connection_error
 
 NODE = 'csgm'
 PATIENCE = 30.0  # seconds for an answer
+REPORTING = 120.0  # seconds for a page about large clouds
+TRIGGERS = ('register', 'cancel', 'save_report', 'relocalize')
 DISCOVERY = 6.0  # seconds for a node to be found that is there: it takes up to three
 CONFIGURING, REGISTERING = 300.0, 600.0  # seconds: compiling for the first time takes a minute
 PROBE = 0.5
@@ -104,7 +106,7 @@ class Client:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         kinds = {'change_state': ChangeState, 'get_available_transitions': GetAvailableTransitions}
-        self._triggers = {name: self._create(Trigger, name) for name in ('register', 'cancel', 'relocalize')}
+        self._triggers = {name: self._create(Trigger, name) for name in TRIGGERS}
         self._clients = {name: self._create(kind, name) for name, kind in kinds.items()}
         self._parameters = AsyncParameterClient(self._node, self.node_name)
         self._clients['get_state'] = self._create(GetState, 'get_state')
@@ -167,6 +169,10 @@ class Client:
     def cancel(self) -> Answer:
         """Cancel the running registration."""
         return self._trigger('cancel', self.timeout)
+
+    def save_report(self) -> Answer:
+        """Write the page of the last registration; the message is its path."""
+        return self._trigger('save_report', max(self.timeout, REPORTING))
 
     def relocalize(self) -> Answer:
         """Let a node that tracks forget the place and search everywhere."""
