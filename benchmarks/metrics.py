@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from benchmarks.datasets import Pair, apply
+from csgm_ros.types import rotation_angle
 
 LOOSE, TIGHT = 0.05, 0.02
 """Bounds on :func:`rmse_over_radius` for Database C."""
@@ -40,10 +41,7 @@ def rmse_over_radius(estimate: np.ndarray, pair: Pair) -> float:
 
 def rotation_error_deg(estimate: np.ndarray, truth: np.ndarray) -> float:
     """Angle of the rotation between two similarities, degrees, in [0, 180]."""
-    difference = split(estimate)[1].T @ split(truth)[1]
-    # atan2 of both parts: the arc cosine alone cannot resolve small angles
-    sine = np.linalg.norm(difference - difference.T) / (2 * math.sqrt(2))
-    return math.degrees(math.atan2(sine, (np.trace(difference) - 1) / 2))
+    return math.degrees(rotation_angle(split(estimate)[1].T @ split(truth)[1]))
 
 
 def scale_error(estimate: np.ndarray, truth: np.ndarray) -> float:

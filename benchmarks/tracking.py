@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from csgm_ros import Session
 from csgm_ros.io.files import read_cloud
 from csgm_ros.tracking.localization import moved, scale_of
-from csgm_ros.transform.similarity import rotation_angle
+from csgm_ros.types import rotation_angle
 
 ON_MAP, OFF_MAP, BLOCKED = 1, 2, 3
 RESULTS = Path(__file__).resolve().parent / 'results'

@@ -461,7 +461,7 @@ def _updated(earlier: RegistrationResult | None, result: RegistrationResult) -> 
 
 def warm_up() -> None:
     """Compile every kernel, or load it from the disk, by registering a small corner with itself at the least effort."""
-    faces = np.random.default_rng(0).uniform(0.0, 1.0, (3, 1500, 3))
+    faces = np.random.default_rng(0).uniform(0.0, 1.0, (3, 500, 3))
     for axis in range(3):
         faces[axis, :, axis] = 0.0
     corner = faces.reshape(-1, 3) * np.array((3.0, 2.0, 1.0))

@@ -83,6 +83,12 @@ class Similarity:
         return Similarity(self.scale * other.scale, self.rotation @ other.rotation, self.apply(other.translation))
 
 
+def rotation_angle(rotation: np.ndarray) -> float:
+    """Return the angle of a (3, 3) rotation in radians, accurate near zero and pi."""
+    sine = np.linalg.norm(rotation - rotation.T) / np.sqrt(8.0)
+    return float(np.arctan2(sine, (np.trace(rotation) - 1.0) / 2.0))
+
+
 @dataclass(frozen=True, eq=False)
 class Cloud:
     """A decoded cloud, finite points only.
@@ -573,8 +579,7 @@ class Prior:
     def allows(self, transform: Similarity, at: np.ndarray) -> bool:
         """Return whether a transform moves the source point ``at`` (3,) to within three sigma."""
         shift = np.linalg.norm(transform.apply(at[None]) - self.transform.apply(at[None]))
-        cosine = (np.trace(transform.rotation @ self.transform.rotation.T) - 1.0) / 2.0
-        angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        angle = np.degrees(rotation_angle(transform.rotation @ self.transform.rotation.T))
         growth = abs(np.log(transform.scale / self.transform.scale))
         return bool(np.all(np.array((shift, angle, growth)) <= 3.0 * np.array(self.sigma)))
 

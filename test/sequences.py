@@ -4,6 +4,7 @@ import numpy as np
 
 from csgm_ros.io.files import read_cloud
 from csgm_ros.tracking.localization import moved
+from csgm_ros.types import rotation_angle
 
 
 class Sequence:
@@ -22,6 +23,6 @@ class Sequence:
         truth, points = self.truth[number], self.points(number)
         scales = [np.cbrt(np.linalg.det(m[:3, :3])) for m in (matrix, truth)]
         turn = (matrix[:3, :3] / scales[0]) @ (truth[:3, :3] / scales[1]).T
-        angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
+        angle = np.degrees(rotation_angle(turn))
         shift = np.linalg.norm(moved(matrix, points) - moved(truth, points), axis=1).mean() / scales[1]
         return shift < 0.1 and angle < 5 and abs(scales[0] / scales[1] - 1) < 0.06

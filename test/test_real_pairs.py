@@ -9,8 +9,7 @@ import pytest
 from csgm_ros import register
 from csgm_ros.attempts import Attempt
 from csgm_ros.io.files import read_cloud
-from csgm_ros.transform.similarity import rotation_angle
-from csgm_ros.types import Similarity
+from csgm_ros.types import Similarity, rotation_angle
 
 PAIRS = ('crop_chair_000', 'crop_table_195', 'kitchen_000_120')
 

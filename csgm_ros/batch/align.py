@@ -13,7 +13,7 @@ from csgm_ros.batch.pose_graph import Aligned, Edge
 from csgm_ros.batch.results import Row, read
 from csgm_ros.errors import InputError
 from csgm_ros.io.atomic import write_text
-from csgm_ros.types import Similarity
+from csgm_ros.types import Similarity, rotation_angle
 
 TOLERANCE = 0.1  # of the spread of a cloud: beyond what right registrations are off by
 
@@ -99,13 +99,12 @@ def _inconsistency(k: int, names: list[str], rows: list[Row], edges: list[Edge],
     around = pose_graph.path(len(names), ends, aligned.kept | aligned.contradicted, edge.source, edge.target)
     expected = aligned.poses[edge.target].inverse() @ aligned.poses[edge.source]
     off = edge.transform.inverse() @ expected
-    cosine = (np.trace(off.rotation) - 1) / 2
     return {
         'id': rows[k]['id'],
         'source': names[edge.source],
         'target': names[edge.target],
         'displacement': float(aligned.residuals[k]),
-        'rotation_deg': float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))),
+        'rotation_deg': float(np.degrees(rotation_angle(off.rotation))),
         'scale_ratio': off.scale,
         'cycle': [rows[number]['id'] for number in around],
     }

@@ -14,7 +14,7 @@ from csgm_ros.config import flatten
 from csgm_ros.io.atomic import write_text
 from csgm_ros.io.cloud_file import CloudFile
 from csgm_ros.io.transforms import matrix_text
-from csgm_ros.types import RegistrationResult, Similarity, Undetermined
+from csgm_ros.types import RegistrationResult, Similarity, Undetermined, rotation_angle
 
 TARGET_TINT = (0.12, 0.47, 0.71)
 SOURCE_TINT = (0.95, 0.55, 0.15)
@@ -112,9 +112,8 @@ def errors(estimate: Similarity, truth: Similarity, source: np.ndarray) -> dict[
     dict
         `rotation_deg`, `scale_percent`, and `mean_displacement` in target units.
     """
-    cosine = (np.trace(estimate.rotation.T @ truth.rotation) - 1) / 2
     return {
-        'rotation_deg': math.degrees(math.acos(min(1.0, max(-1.0, cosine)))),
+        'rotation_deg': math.degrees(rotation_angle(estimate.rotation.T @ truth.rotation)),
         'scale_percent': 100 * abs(estimate.scale / truth.scale - 1),
         'mean_displacement': float(np.linalg.norm(estimate.apply(source) - truth.apply(source), axis=1).mean()),
     }

@@ -17,7 +17,7 @@ from csgm_ros.ros.cloud_msgs import cloud_message, header, quaternion, transform
 from csgm_ros.ros.qos import LATCHED
 from csgm_ros.ros.tf import MOVING, Broadcaster
 from csgm_ros.tracking.maps import PreparedMap
-from csgm_ros.types import Similarity
+from csgm_ros.types import Similarity, rotation_angle
 
 EACH = QoSProfile(depth=10)
 TOPICS = {
@@ -128,5 +128,5 @@ def pose_message(pose: Similarity) -> Pose:
 
 
 def _apart(one: Similarity, other: Similarity) -> bool:
-    cosine = (np.trace(one.rotation.T @ other.rotation) - 1.0) / 2.0
-    return bool(np.linalg.norm(one.translation - other.translation) > STEP[0] or cosine < np.cos(np.radians(STEP[1])))
+    shift, angle = np.linalg.norm(one.translation - other.translation), rotation_angle(one.rotation.T @ other.rotation)
+    return bool(shift > STEP[0] or angle > np.radians(STEP[1]))

@@ -11,6 +11,7 @@ from csgm_ros.tracking import surface
 from csgm_ros.tracking.alignment import align, align_each
 from csgm_ros.tracking.frames import Frame
 from csgm_ros.tracking.surface import Surface
+from csgm_ros.types import rotation_angle
 
 KEPT = 25  # key frames in the model
 POINTS, COARSE_POINTS = 2500, 500
@@ -95,9 +96,8 @@ class Odometry:
 
     def _differs(self, frame: Frame, fit) -> bool:
         last = np.linalg.inv(self.keyframes[-1].matrix) @ fit.matrix
-        angle = np.arccos(np.clip((np.trace(last[:3, :3]) - 1) / 2, -1, 1))
         shift = np.linalg.norm(last[:3, 3])
-        return angle > 0.1 or shift > 5 * self._voxel or fit.inliers < 0.6
+        return rotation_angle(last[:3, :3]) > 0.1 or shift > 5 * self._voxel or fit.inliers < 0.6
 
     def _keep(self, frame: Frame, stamp: float) -> None:
         self.keyframes.append(Keyframe(frame, self.matrix.copy(), stamp))

@@ -58,9 +58,3 @@ def umeyama_many(
         np.divide(singular[:, 0] + singular[:, 1] + flip * singular[:, 2], spread, out=scales, where=spread > 0.0)
     translations = mean_target - scales[:, None] * np.einsum('nij,nj->ni', rotations, mean_source)
     return scales, rotations, translations
-
-
-def rotation_angle(rotation: np.ndarray) -> float:
-    """Return the angle of a (3, 3) rotation in radians, accurate near zero and pi."""
-    sine = np.linalg.norm(rotation - rotation.T) / np.sqrt(8.0)
-    return float(np.arctan2(sine, (np.trace(rotation) - 1.0) / 2.0))

@@ -13,7 +13,7 @@ import numpy as np
 from csgm_ros.io.atomic import write_text
 from csgm_ros.io.files import CloudFile
 from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT, matrix_text
-from csgm_ros.types import Similarity, Term
+from csgm_ros.types import Similarity, Term, rotation_angle
 from csgm_ros.visual import charts
 from csgm_ros.visual.pictures import FRONT, draw, palette, turned
 from csgm_ros.visual.report_data import ReportData
@@ -160,8 +160,7 @@ def _hypotheses(data: ReportData) -> str:
 
 
 def _apart(data: ReportData, transform: Similarity) -> str:
-    cosine = (np.trace(data.poses[0].transform.rotation.T @ transform.rotation) - 1) / 2
-    return f'{np.degrees(np.arccos(np.clip(cosine, -1, 1))):.1f} deg'
+    return f'{np.degrees(rotation_angle(data.poses[0].transform.rotation.T @ transform.rotation)):.1f} deg'
 
 
 def _segmentations(data: ReportData, shown: tuple[Shown, Shown]) -> str:

@@ -5,8 +5,7 @@ import pytest
 from scenes import error, random_rotation, room
 
 from csgm_ros.transform.icp import refine
-from csgm_ros.transform.similarity import rotation_angle
-from csgm_ros.types import Similarity
+from csgm_ros.types import Similarity, rotation_angle
 
 SOURCE = room(1, 300)
 TRUTH = Similarity(0.5, random_rotation(np.random.default_rng(4)), np.array([3.0, -2.0, 1.0]))

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import random_rotation, random_similarity
 
-from csgm_ros.transform.similarity import rotation_angle, umeyama
-from csgm_ros.types import Similarity
+from csgm_ros.transform.similarity import umeyama
+from csgm_ros.types import Similarity, rotation_angle
 
 SEEDS = st.integers(0, 2**32 - 1)
 
