@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import sys
 from importlib import import_module
@@ -10,6 +11,7 @@ from importlib import import_module
 from csgm_ros.errors import CsgmError, DegenerateCloudError, InputError
 
 ACCEPTED, BAD_INPUT, REJECTED, INTERRUPTED = 0, 2, 3, 130
+NEW_OBJECTS = 100_000  # before garbage is looked for: what is imported is none, and looking takes a tenth of the start
 EPILOG = """\
 examples:
   csgm simulate pair/                                      a synthetic Kinect and SfM cloud with known truth
@@ -36,6 +38,7 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: list[str] | None = None) -> int:
     """Run `csgm` and return its exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    gc.set_threshold(NEW_OBJECTS)
     try:
         if arguments and arguments[0] in ROS_COMMANDS:
             return _ros_command(arguments[0], arguments[1:])
