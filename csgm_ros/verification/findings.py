@@ -9,7 +9,7 @@ import numpy as np
 
 from csgm_ros.types import NearestGrid
 from csgm_ros.verification.agreement import Agreement, Comparison
-from csgm_ros.verification.probes import Probe, mirrors, scales, symmetries
+from csgm_ros.verification.probes import SCALES, mirrors, scales, symmetries
 from csgm_ros.verification.witnesses import NEAR
 
 Refine = Callable[..., np.ndarray]
@@ -117,18 +117,17 @@ def probed(
         return replace(findings, half_shift=float('inf'))
     agreement = findings.agreement
     distances = *WIDE_DISTANCES, *FINE_DISTANCES
-    turned = np.concatenate([_matrices(symmetries(winner, *overlap)), np.array([*others]).reshape(-1, 4, 4)])
+    turned = np.concatenate([symmetries(winner, *overlap), np.array([*others]).reshape(-1, 4, 4)])
     moved = refined(comparison, turned, distances, refine, estimate_scale=estimate_scale)
-    flipped = _matrices(mirrors(winner, *overlap))
+    flipped = mirrors(winner, *overlap)
     mirrored = refined(comparison, flipped, distances, refine, estimate_scale=estimate_scale)
-    sized = scales(winner, overlap[0])
-    resized = refined(comparison, _matrices(sized), distances[2:], refine, estimate_scale=False)
+    resized = refined(comparison, scales(winner, overlap[0]), distances[2:], refine, estimate_scale=False)
     moved = np.array([other for other in moved if _apart(comparison, winner, other) > SAME]).reshape(-1, 4, 4)
     rivals = [_rival(comparison, winner, agreement, other) for other in _best(comparison, moved, MOST_RIVALS)]
     return replace(
         findings,
         rivals=(*findings.rivals, *rivals),
-        scale_curve=tuple((p.amount, _ratio(comparison, m, agreement)) for p, m in zip(sized, resized, strict=True)),
+        scale_curve=tuple((f, _ratio(comparison, m, agreement)) for f, m in zip(SCALES, resized, strict=True)),
         mirrored=max(_ratio(comparison, m, agreement) for m in _best(comparison, mirrored, MOST_MIRRORED)),
         half_shift=half_shift(comparison, winner, overlap[0], refine, estimate_scale=estimate_scale),
     )
@@ -222,10 +221,6 @@ def _ratio(comparison: Comparison, transform: np.ndarray, agreement: Agreement) 
 def _displacement(first: np.ndarray, second: np.ndarray, points: np.ndarray) -> float:
     offsets = points @ (first - second)[:3, :3].T + (first - second)[:3, 3]
     return float(np.sqrt((offsets**2).sum(1).mean()))
-
-
-def _matrices(probes: list[Probe]) -> np.ndarray:
-    return np.array([probe.transform for probe in probes])
 
 
 def _grids(comparison: Comparison, name: str) -> tuple[NearestGrid, NearestGrid]:

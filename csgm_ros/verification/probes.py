@@ -6,8 +6,6 @@ turn or a corner blown up is easily proposed, once the winner is known.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 SLIDES = np.array([-1.2, -1.0, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2])  # RMS radii of the overlap
@@ -18,30 +16,8 @@ MIRRORS = 40  # planes in all directions: the plane in which an object is nearly
 SAME_AXIS = 0.97  # cosine from which two axes are one
 
 
-@dataclass(frozen=True, eq=False)
-class Probe:
-    """A change of the winner that might fit as well.
-
-    Attributes
-    ----------
-    kind : str
-        slide, turn, scale or mirror.
-    axis : (3,) ndarray
-        Direction of the slide, axis of the turn or normal of the mirror, in the target's frame; zeros for a scale.
-    amount : float
-        Length of the slide, degrees of the turn, factor on the scale.
-    transform : (4, 4) ndarray
-        The changed winner.
-    """
-
-    kind: str
-    axis: np.ndarray
-    amount: float
-    transform: np.ndarray
-
-
-def symmetries(transform: np.ndarray, points: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> list[Probe]:
-    """Return slides and turns of a (4, 4) transform, along and about the axes of its overlap.
+def symmetries(transform: np.ndarray, points: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return (S, 4, 4) slides and turns of a (4, 4) transform, along and about the axes of its overlap.
 
     Parameters
     ----------
@@ -55,17 +31,17 @@ def symmetries(transform: np.ndarray, points: np.ndarray, normals: np.ndarray, w
     _, across = np.linalg.eigh((normals * weights[:, None]).T @ normals)  # weakest first: where nothing holds it
     found = []
     for axis in _different((across[:, 0], across[:, 1], along[:, 2])):
-        found += [Probe('slide', axis, t * length, _moved(axis * t * length) @ transform) for t in SLIDES]
+        found += [_moved(axis * t * length) @ transform for t in SLIDES]
     middle = _middle(points, across)
     for axis in _different((*across.T, *along.T)):
-        found += [Probe('turn', axis, a, _turned(middle, axis, a) @ transform) for a in TURNS]
+        found += [_turned(middle, axis, a) @ transform for a in TURNS]
     axis = _revolution(spread, along)
-    found += [Probe('turn', axis, a, _turned(middle, axis, a) @ transform) for a in FINER_TURNS]
-    return found
+    found += [_turned(middle, axis, a) @ transform for a in FINER_TURNS]
+    return np.array(found)
 
 
-def mirrors(transform: np.ndarray, points: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> list[Probe]:
-    """Return a (4, 4) transform followed by mirrors through the middle of its overlap, see :func:`symmetries`."""
+def mirrors(transform: np.ndarray, points: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return (M, 4, 4): a (4, 4) transform, then a mirror through its overlap's middle, see :func:`symmetries`."""
     _, along = np.linalg.eigh(np.cov(points.T))
     _, across = np.linalg.eigh((normals * weights[:, None]).T @ normals)
     middle = _middle(points, across)
@@ -74,19 +50,19 @@ def mirrors(transform: np.ndarray, points: np.ndarray, normals: np.ndarray, weig
         change = np.eye(4)
         change[:3, :3] -= 2.0 * np.outer(axis, axis)
         change[:3, 3] = 2.0 * axis * (axis @ middle)
-        found.append(Probe('mirror', axis, 1.0, change @ transform))
-    return found
+        found.append(change @ transform)
+    return np.array(found)
 
 
-def scales(transform: np.ndarray, points: np.ndarray) -> list[Probe]:
-    """Return a (4, 4) transform at other scales about the middle of (I, 3) points of its overlap."""
+def scales(transform: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return (F, 4, 4): a (4, 4) transform at other scales about the middle of (I, 3) points of its overlap."""
     centre = points.mean(0)
     found = []
     for factor in SCALES:
         change = np.diag([factor, factor, factor, 1.0])
         change[:3, 3] = (1.0 - factor) * centre
-        found.append(Probe('scale', np.zeros(3), factor, change @ transform))
-    return found
+        found.append(change @ transform)
+    return np.array(found)
 
 
 def _hemisphere(count: int) -> np.ndarray:
