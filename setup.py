@@ -31,8 +31,8 @@ INTERFACE_BUILD = [
     'ros-jazzy-python-cmake-module==0.11.1',
 ]
 
-# What reads .las .laz and meshes; every other format needs no library beyond the package's own.
-FORMATS = ['laspy>=2.5', 'lazrs>=0.6', 'trimesh>=4']
+# What reads .las .laz .e57 and meshes; every other format needs no library beyond the package's own.
+FORMATS = ['laspy>=2.5', 'lazrs>=0.6', 'pye57>=0.4', 'trimesh>=4']
 
 # Many pairs on many machines; Bokeh draws Dask's dashboard.
 BATCH = ['distributed>=2024.1', 'pyarrow>=15', 'bokeh>=3.1']

@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import re
 import textwrap
-from pathlib import Path, PurePosixPath
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, ClassVar
 
 import yaml
@@ -17,7 +18,7 @@ WIDTH = 116
 MAX_FILE = 1 << 20  # bytes
 NODE = 'csgm'
 ROS_KEY = 'ros__parameters'
-WILDCARDS = ('**', '*')
+WILDCARDS = {'**': '(/[^/]+)*', '*': '/[^/]+'}
 ROS_PARAMETERS = ('use_sim_time', 'qos_overrides', 'start_type_description_service')  # every node's own
 HEADER = """\
 Every parameter of csgm_ros, with its default in profile {profile}: made by `csgm config --profile {profile}`.
@@ -47,10 +48,10 @@ def read_config(path: str | Path | None, profile_name: str | None = None) -> Con
     Parameters
     ----------
     path : str, Path or None
-        A ROS parameter file, of which the part of `/**` and that of a node named `csgm` count, the latter more; or a
-        mapping of names that may be nested (`icp: {iterations: 5}`) or dotted (`icp.iterations: 5`). The node's own
-        parameters are checked and left out, and so is what is ROS's (`use_sim_time`, `qos_overrides`). None reads
-        nothing.
+        A ROS parameter file, of which the parts count whose names fit the node, a later one more: `csgm`, in the
+        namespace where the file has it, `/**` and other wildcards; or a mapping of names that may be nested
+        (`icp: {iterations: 5}`) or dotted (`icp.iterations: 5`). The node's own parameters are checked and left out,
+        and so is what is ROS's (`use_sim_time`, `qos_overrides`). None reads nothing.
     profile_name : str, optional
         Profile below the file's values; else the file's own `profile`, else robust.
 
@@ -102,32 +103,50 @@ def _values(path: str | Path) -> dict[str, Any]:
         return {}
     if not isinstance(values, dict):
         raise ConfigError(f'{path}: holds no parameters; see `csgm config` for the form')
-    nodes = _nodes(values)
+    nodes = list(_nodes(values))
     if not nodes:
         return _known(dict(_dotted(values, '')))
-    ours = [name for name in nodes if PurePosixPath(name).name == NODE]
-    if len(ours) > 1:
-        raise ConfigError(f'{path}: holds the parameters of {" and ".join(ours)}; keep one of them')
+    names = [name for name, _ in nodes]
+    ours = _own_name(names, path)
     chosen: dict[str, Any] = {}
-    for name in [*(name for name in nodes if PurePosixPath(name).name in WILDCARDS), *ours]:
-        if not isinstance(nodes[name], dict | None):
-            raise ConfigError(f'{path}: {name} holds no parameters; see `csgm config` for the form')
-        chosen |= dict(_dotted(nodes[name] or {}, ''))
-    if not chosen and not ours and not any(PurePosixPath(name).name in WILDCARDS for name in nodes):
-        raise ConfigError(f'{path}: holds nothing for {NODE}, only for {", ".join(nodes)[:200]}; name it {NODE} or /**')
+    for name, part in nodes:  # as they stand in the file, so that a later one counts more
+        if _fits(name, ours):
+            if not isinstance(part, dict):
+                raise ConfigError(f'{path}: {name} holds no parameters; see `csgm config` for the form')
+            chosen |= dict(_dotted(part, ''))
+    if not any(_fits(name, ours) for name in names):
+        raise ConfigError(f'{path}: holds nothing for {ours}, only for {", ".join(names)[:200]}; name it {NODE} or /**')
+    for name, value in chosen.items():
+        if isinstance(value, list) and len({type(item) for item in value}) > 1:
+            raise ConfigError(
+                f'{path}: {name} mixes types, which ROS refuses; write 1.0 for 1 where others have a point'
+            )
     return _known(chosen)
 
 
-def _nodes(values: dict, space: str = '') -> dict[str, Any]:
-    """Return the `ros__parameters` of each node of a file, by its name with namespaces."""
-    found: dict[str, Any] = {}
+def _nodes(values: dict, space: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield the name, with namespaces and wildcards, and the `ros__parameters` of each node of a file."""
     for name, part in values.items():
         if isinstance(part, dict):
             whole = f'{space}/{str(name).strip("/")}'
             if ROS_KEY in part:
-                found[whole] = part[ROS_KEY]
-            found |= _nodes({key: value for key, value in part.items() if key != ROS_KEY}, whole)
-    return found
+                yield whole, part[ROS_KEY]
+            yield from _nodes({key: value for key, value in part.items() if key != ROS_KEY}, whole)
+
+
+def _own_name(names: list[str], path: str | Path) -> str:
+    """Return the name of our node: the one that the file gives it, without a namespace where there are several."""
+    plain = f'/{NODE}'
+    named = {name for name in names if name.endswith(plain) and '*' not in name} or {plain}
+    if len(named) > 1 and plain not in named:
+        raise ConfigError(f'{path}: holds the parameters of {" and ".join(sorted(named))}; keep one of them')
+    return plain if plain in named else named.pop()
+
+
+def _fits(name: str, ours: str) -> bool:
+    """Tell whether a name with wildcards means our node: `*` stands for one part, `**` for any number of them."""
+    parts = (WILDCARDS.get(part, f'/{re.escape(part)}') for part in name.strip('/').split('/'))
+    return re.fullmatch(''.join(parts), ours) is not None
 
 
 def _known(values: dict[str, Any]) -> dict[str, Any]:
@@ -156,7 +175,7 @@ class _Loader(yaml.SafeLoader):
 
 for tag, pattern, first in (
     ('bool', r'(?:[yY]|yes|Yes|YES|true|True|TRUE|on|On|ON|[nN]|no|No|NO|false|False|FALSE|off|Off|OFF)', 'yYnNtTfFoO'),
-    ('int', r'[-+]?(?:0[xX][0-9a-fA-F]+|0|[1-9][0-9]*)', '-+0123456789'),
+    ('int', r'[-+]?(?:0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)', '-+0123456789'),
     (
         'float',
         r'[-+]?(?:[0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(?=[eE]))(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)',

@@ -159,6 +159,8 @@ def write(path: str | Path, cloud: CloudFile) -> None:
             module.write(file, cloud, path.suffix.lower())
         except InputError as error:
             raise InputError(f'{path}: {error}') from None
+        except ModuleNotFoundError as error:
+            raise InputError(_needs(path, error)) from None
         except (ValueError, OverflowError) as error:
             raise InputError(f'{path}: cannot be written ({_one_line(error)}); write another format') from None
 
@@ -200,10 +202,7 @@ def _module(path: Path):
     """Import the module of a file's format."""
     found = format_of(path.name)
     assert found is not None, path  # callers have asked before
-    try:
-        return import_module(f'csgm_ros.io.formats.{found.module}')
-    except ModuleNotFoundError as error:
-        raise InputError(f'{path}: needs {error.name}; install it by pip install "csgm_ros[{found.needs}]"') from None
+    return import_module(f'csgm_ros.io.formats.{found.module}')
 
 
 def _color_limit(table: Table, bounds: list[tuple[int, int]]) -> float | None:
@@ -227,12 +226,20 @@ class _named:  # noqa: N801 - read as a word in a `with`
         if isinstance(error, InputError):
             said = str(error)
             raise InputError(said if said.startswith(str(self._path)) else f'{self._path}: {said}') from None
+        if isinstance(error, ModuleNotFoundError):
+            raise InputError(_needs(self._path, error)) from None
         if isinstance(error, PermissionError):
             raise InputError(f'{self._path}: may not be read; check its permissions') from None
         if isinstance(error, MemoryError):
             raise InputError(f'{self._path}: is larger than the memory that is left; take fewer points') from None
         if isinstance(error, Exception):
             raise InputError(f'{self._path}: cannot be read ({_one_line(error)}); write it again') from None
+
+
+def _needs(path: Path, error: ModuleNotFoundError) -> str:
+    """Return that a library is missing, and the extra that brings it."""
+    found = format_of(path.name)
+    return f'{path}: needs {error.name}; install it by pip install "csgm_ros[{found.needs if found else ""}]"'
 
 
 def _one_line(error: Exception) -> str:

@@ -75,7 +75,7 @@ if __name__ == '__main__':
         folder = Path(name)
         (folder / 'seeds').mkdir()
         if kind != 'pointcloud2':
-            for number, data in enumerate(corpus.files(folder)[kind]):
+            for number, data in enumerate(corpus.files()[kind]):
                 (folder / 'seeds' / str(number)).write_bytes(data)
         atheris.Setup([*sys.argv, str(folder / 'seeds')], decode if kind == 'pointcloud2' else read(folder / kind))
         atheris.Fuzz()

@@ -1,6 +1,10 @@
 """Valid inputs of every kind that is read, as small as they get: what the mutations start from."""
 
+import functools
+import io
 import struct
+import tempfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +18,11 @@ from csgm_ros.types import Cloud
 POINTS = np.random.default_rng(1).normal(size=(40, 3)) * (3, 2, 1) + (5, 0, 0)
 COLORS = np.random.default_rng(2).integers(0, 256, (40, 3)) / 255
 NORMALS = POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True)
+CAMERAS = {  # beside a depth image
+    'camera.json': b'{"intrinsic_matrix": [500, 0, 0, 0, 400, 0, 2, 1, 1], "depth_scale": 500}',
+    'camera.yaml': b'camera_matrix:\n  rows: 3\n  data: [500, 0, 2, 0, 400, 1, 0, 0, 1]\ndepth_scale: 1000\n',
+    'camera.txt': b'500 0 2\n0 400 1\n0 0 1\n',
+}
 SHORT = POINTS[:12].astype('f4')
 
 
@@ -75,6 +84,15 @@ def text_files() -> list[bytes]:
     ]
 
 
+def depth_images() -> list[bytes]:
+    """One small depth image of millimetres."""
+    from PIL import Image
+
+    made = io.BytesIO()
+    Image.fromarray(np.arange(48, dtype=np.uint16).reshape(6, 8) * 40).save(made, 'png')
+    return [made.getvalue()]
+
+
 def colmap_models() -> list[bytes]:
     """One binary model with tracks of different lengths."""
     points = (
@@ -84,15 +102,77 @@ def colmap_models() -> list[bytes]:
     return [struct.pack('<Q', len(SHORT)) + b''.join(points)]
 
 
-def files(folder: Path) -> dict[str, list[bytes]]:
+def e57_files(folder: Path) -> list[bytes]:
+    """Scans of every layout: floats and colours with a pose, integers with 16-bit colours and gaps, spheres."""
+    import pye57
+
+    path = folder / 'made.e57'
+    names = 'cartesianX', 'cartesianY', 'cartesianZ', 'colorRed', 'colorGreen', 'colorBlue'
+    columns = dict(zip(names, (*POINTS.T, *np.rint(255 * COLORS.T)), strict=True))
+    with pye57.E57(str(path), 'w') as image:
+        image.write_scan_raw(columns, rotation=np.array([0.6, 0.0, 0.0, 0.8]), translation=np.array([1.0, 2.0, 3.0]))
+    made = [path.read_bytes()]
+    with pye57.E57(str(path), 'w') as image:
+        columns |= {name: np.rint(65535 * color) for name, color in zip(names[3:], COLORS.T, strict=True)}
+        add_scan(image, {**columns, 'cartesianInvalidState': np.arange(len(POINTS)) % 5 == 1})
+    made.append(path.read_bytes())
+    reach, level = np.linalg.norm(POINTS, axis=1), np.linalg.norm(POINTS[:, :2], axis=1)
+    angles = np.arctan2(POINTS[:, 1], POINTS[:, 0]), np.arctan2(POINTS[:, 2], level)
+    spheres = dict(zip(('sphericalRange', 'sphericalAzimuth', 'sphericalElevation'), (reach, *angles), strict=True))
+    with pye57.E57(str(path), 'w') as image:
+        for columns in (spheres, spheres):
+            add_scan(image, columns)
+    return [*made, path.read_bytes()]
+
+
+def add_scan(image, columns: dict[str, np.ndarray]) -> None:
+    """Append a scan: coordinates as tenths of a millimetre, colours of 16 bits, spheres as doubles."""
+    from pye57 import libe57
+
+    file, columns = image.image_file, {name: np.array(column, float) for name, column in columns.items()}
+    count = len(next(iter(columns.values())))
+    scan, prototype, buffers = libe57.StructureNode(file), libe57.StructureNode(file), libe57.VectorSourceDestBuffer()
+    for name, column in columns.items():  # the buffers only point to them
+        if name.startswith('cartesian') and name.endswith(('X', 'Y', 'Z')):
+            node = libe57.ScaledIntegerNode(file, 0, -(10**9), 10**9, 1e-4, 0.0)
+        elif name.startswith('spherical'):
+            node = libe57.FloatNode(file, 0.0, libe57.E57_DOUBLE, -1e9, 1e9)
+        else:
+            node = libe57.IntegerNode(file, 0, 0, 65535 if name.startswith('color') else 2)
+        prototype.set(name, node)
+        buffers.append(libe57.SourceDestBuffer(file, name, column, count, True, True))
+    if 'colorRed' in columns:
+        limits = libe57.StructureNode(file)
+        for name in ('colorRed', 'colorGreen', 'colorBlue'):
+            limits.set(f'{name}Minimum', libe57.IntegerNode(file, 0, 0, 65535))
+            limits.set(f'{name}Maximum', libe57.IntegerNode(file, 65535, 0, 65535))
+        scan.set('colorLimits', limits)
+    points = libe57.CompressedVectorNode(file, prototype, libe57.VectorNode(file, True))
+    scan.set('points', points)
+    image.data3d.append(scan)
+    writer = points.writer(buffers)
+    writer.write(count)
+    writer.close()
+
+
+@functools.cache
+def files() -> dict[str, list[bytes]]:
     """Return the seeds of each kind of file, by the name that such a file must have."""
+    with tempfile.TemporaryDirectory() as folder:
+        return _files(Path(folder))
+
+
+def _files(folder: Path) -> dict[str, list[bytes]]:
     seeds = {
         'cloud.ply': ply_texts(),
         'cloud.pcd': pcd_texts(),
         'cloud.xyz': text_files(),
+        'cloud.e57': e57_files(folder),
+        'depth.png': depth_images(),
+        **{name: [text] for name, text in CAMERAS.items()},
         'points3D.bin': colmap_models(),
         'points3D.txt': [b'# 3D points\n' + b''.join(b'%d 1.5 2 %d 1 2 3 0.5 1 2 3 4\n' % (i, i) for i in range(12))],
-        **{f'cloud.{kind}': [] for kind in ('npy', 'npz', 'las', 'laz', 'stl', 'obj', 'glb', 'e57')},
+        **{f'cloud.{kind}': [] for kind in ('npy', 'npz', 'las', 'laz', 'stl', 'obj', 'glb')},
     }
     for kind in ('ply', 'pcd', 'xyz', 'npy', 'npz', 'las', 'laz'):
         for colors, normals in ((None, None), (COLORS, NORMALS)):
@@ -113,6 +193,47 @@ def files(folder: Path) -> dict[str, list[bytes]]:
         for name, found in seeds.items()
         if found
     }
+
+
+def sealed(kind: str, data: bytes) -> bytes:
+    """Return a damaged file with its checksums and its length made right, so that the damage gets past them."""
+    return SEALS[kind](data) if kind in SEALS else data
+
+
+def _sealed_pages(data: bytes) -> bytes:
+    pages = [data[at : at + 1020].ljust(1020, b'\0') for at in range(0, len(data), 1024)]
+    if pages:
+        pages[0] = pages[0][:16] + struct.pack('<Q', 1024 * len(pages)) + pages[0][24:]
+    return b''.join(page + struct.pack('>I', _castagnoli(page)) for page in pages)
+
+
+def _castagnoli(data: bytes) -> int:
+    """Return the CRC-32C of E57's pages."""
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc = CASTAGNOLI[(crc ^ byte) & 0xFF] ^ (crc >> 8)
+    return crc ^ 0xFFFFFFFF
+
+
+def _castagnoli_entry(value: int) -> int:
+    for _ in range(8):
+        value = (value >> 1) ^ (0x82F63B78 if value & 1 else 0)
+    return value
+
+
+CASTAGNOLI = [_castagnoli_entry(value) for value in range(256)]
+
+
+def _sealed_chunks(data: bytes) -> bytes:
+    made, at = data[:8], 8
+    while at + 8 <= len(data):
+        end = at + 8 + int.from_bytes(data[at : at + 4], 'big')
+        made += data[at:end] + struct.pack('>I', zlib.crc32(data[at + 4 : end]))
+        at = end + 4
+    return made
+
+
+SEALS = {'cloud.e57': _sealed_pages, 'depth.png': _sealed_chunks}
 
 
 def bag(folder: Path, storage: str) -> dict[str, bytes]:

@@ -72,7 +72,8 @@ def _read(kind: str, path: Path, size: int) -> str:
     if points.ndim != 2 or points.shape[1] != 3 or not len(points) or points.dtype != float:
         raise Finding(f'points of shape {points.shape}')
     # the shortest point in a file: three digits with a space after each, or a byte each; deflate makes 1032 of 1
-    if kind.rsplit('.')[-1] not in SAMPLED and len(points) * 3 > size * (1032 if kind.endswith('z') else 1):
+    counted = kind not in corpus.CAMERAS and kind.rsplit('.')[-1] not in SAMPLED
+    if counted and len(points) * 3 > size * (1032 if kind.endswith(('z', 'png')) else 1):
         raise Finding(f'{len(points)} points of {size} bytes')
     for part, low in ((cloud.colors, 0.0), (cloud.normals, -np.inf)):
         if part is not None and (part.shape != points.shape or (part < low).any()):
@@ -96,13 +97,18 @@ def inputs(kind: str, count: int, seed: int, folder: Path):
             yield (next(at / name for name in parts if name != 'metadata.yaml') if alone else at), 0
         return
     name = 'damaged.yaml' if kind == 'yaml' else kind
-    seeds = corpus.parameter_files() if kind == 'yaml' else corpus.files(folder)[kind]
+    seeds = corpus.parameter_files() if kind == 'yaml' else corpus.files()[kind]
     path = folder / 'damaged' / name
     path.parent.mkdir()
+    if kind == 'depth.png':
+        path.with_name('camera.json').write_bytes(corpus.CAMERAS['camera.json'])
+    if kind in corpus.CAMERAS:
+        path.with_name('depth.png').write_bytes(corpus.depth_images()[0])
     for _ in range(count):
         data = mutated(seeds[int(rng.integers(len(seeds)))], seeds, rng)
+        data = corpus.sealed(kind, data) if rng.random() < 0.7 else data
         path.write_bytes(data)
-        yield path, len(data)
+        yield (path.with_name('depth.png') if kind in corpus.CAMERAS else path), len(data)
 
 
 def run(kind: str, count: int, seed: int, folder: Path, *, stop: bool = True) -> Counter:
@@ -140,9 +146,7 @@ def main() -> int:
         print(f'{options.kinds[0]:14} {dict(said)}', flush=True)
         return min(said['FOUND'], 100)
     found = 0
-    with tempfile.TemporaryDirectory() as scratch:
-        kinds = options.kinds or [*corpus.files(Path(scratch)), *BAGS, 'yaml']
-    for kind in kinds:
+    for kind in options.kinds or [*corpus.files(), *BAGS, 'yaml']:
         folder = tempfile.mkdtemp(prefix='fuzz_')
         arguments = [kind, '--count', str(options.count), '--seed', str(options.seed), '--here', folder]
         start = time.monotonic()

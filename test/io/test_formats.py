@@ -2,6 +2,7 @@
 
 import json
 import struct
+import sys
 
 import numpy as np
 import pytest
@@ -65,6 +66,37 @@ def test_other_readers_read_what_is_written(tmp_path):
     np.testing.assert_allclose(laspy.read(tmp_path / 'c.laz').xyz, POINTS, atol=1e-6)
 
 
+def test_every_scan_of_an_e57_file_is_read_in_the_frame_of_the_file(tmp_path):
+    made, clouds = corpus.e57_files(tmp_path), []
+    for data in made:
+        (tmp_path / 'a.e57').write_bytes(data)
+        clouds.append(read_cloud(tmp_path / 'a.e57'))
+    posed, integers, spheres = clouds
+    turn = np.array([[-0.28, -0.96, 0.0], [0.96, -0.28, 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(posed.points, corpus.POINTS @ turn.T + (1, 2, 3), atol=1e-6)
+    np.testing.assert_allclose(posed.colors, corpus.COLORS, atol=1e-9)
+    valid = np.arange(len(corpus.POINTS)) % 5 != 1
+    np.testing.assert_allclose(integers.points, corpus.POINTS[valid], atol=1e-4)
+    np.testing.assert_allclose(integers.colors, corpus.COLORS[valid], atol=1e-4)
+    np.testing.assert_allclose(spheres.points, np.concatenate([corpus.POINTS, corpus.POINTS]), atol=1e-9)
+    assert spheres.colors is None
+    for end in range(0, len(made[0]), 300):
+        (tmp_path / 'a.e57').write_bytes(made[0][:end])
+        with pytest.raises(InputError, match=r'a\.e57: (ends early|does not begin)'):
+            read_cloud(tmp_path / 'a.e57')
+
+
+def test_the_extra_of_a_library_that_is_missing_is_named(tmp_path, monkeypatch):
+    for library in ('pye57', 'laspy'):
+        monkeypatch.setitem(sys.modules, library, None)
+    (tmp_path / 'a.e57').write_bytes(b'')
+    with pytest.raises(InputError, match=r'a\.e57: needs pye57; install it by pip install "csgm_ros\[formats\]"'):
+        read_cloud(tmp_path / 'a.e57')
+    with pytest.raises(InputError, match=r'a\.las: needs laspy; install it by pip install "csgm_ros\[formats\]"'):
+        write_cloud(tmp_path / 'a.las', POINTS)
+    assert not (tmp_path / 'a.las').exists()
+
+
 @pytest.mark.parametrize('lines', ['\n', '\r\n', '\r'])
 @pytest.mark.parametrize('number', [0, 1, 2])
 def test_ply_text_is_tokens_not_lines(tmp_path, lines, number):
@@ -102,10 +134,8 @@ def test_long_comments_and_names_are_no_matter(tmp_path, length):
 def test_no_cut_file_is_taken_for_a_whole_one(tmp_path_factory, kind, data):
     folder = tmp_path_factory.getbasetemp() / f'cut_{kind}'
     folder.mkdir(exist_ok=True)
-    if not hasattr(corpus, 'made'):
-        corpus.made = corpus.files(folder)
     name = 'points3D.bin' if kind == 'bin' else f'cloud.{kind}'
-    seed = data.draw(st.sampled_from(corpus.made[name]))
+    seed = data.draw(st.sampled_from(corpus.files()[name]))
     end = data.draw(st.integers(0, len(seed.rstrip()) - (8 if kind == 'xyz' else 2)))
     (folder / name).write_bytes(seed)
     whole = read_cloud(folder / name).points

@@ -6,15 +6,17 @@ from fuzz.fuzz import BAGS, run
 
 from csgm_ros.io.files import read_cloud
 
-KINDS = ('ply', 'pcd', 'xyz', 'npy', 'npz', 'las', 'laz', 'stl', 'obj', 'glb')
-FILES = (*(f'cloud.{kind}' for kind in KINDS), 'points3D.bin', 'points3D.txt')
+KINDS = ('ply', 'pcd', 'xyz', 'npy', 'npz', 'las', 'laz', 'e57', 'stl', 'obj', 'glb')
+CLOUDS = (*(f'cloud.{kind}' for kind in KINDS), 'points3D.bin', 'points3D.txt')
+FILES = (*CLOUDS, 'depth.png', *corpus.CAMERAS)
 
 
 def test_every_seed_is_read_as_it_is(tmp_path):
-    seeds = corpus.files(tmp_path)
+    seeds = corpus.files()
     assert set(seeds) == set(FILES)
-    for name in FILES:
+    for name in CLOUDS:
         for data in seeds[name]:
+            assert corpus.sealed(name, data) == data
             (tmp_path / name).write_bytes(data)
             assert len(read_cloud(tmp_path / name).points) >= 12
 

@@ -7,12 +7,14 @@ import pytest
 pytest.importorskip('rclpy')
 
 import rclpy
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.parameter import Parameter
 from ros_helpers.process import NodeProcess
 
 from csgm_ros.config import Config, NodeConfig, flatten, parameter_fields, profile
 from csgm_ros.errors import ConfigError
-from csgm_ros.ros.parameters import READ_ONLY, Parameters
+from csgm_ros.io.config_files import read_config
+from csgm_ros.ros.parameters import READ_ONLY, Parameters, unknown
 
 pytestmark = pytest.mark.ros
 
@@ -137,3 +139,85 @@ def test_unusable_start_is_refused_in_one_line(override, complaint):
         assert 'Traceback' not in process.log
     finally:
         process.kill()
+
+
+WILD = '/**:\n  ros__parameters:\n    '
+ICP = 'ros__parameters: {icp.iterations: 6}'
+READ = {  # what both read, and the namespace of the node
+    **{f'{WILD}{line}\n': '' for line in ('time_budget: 5', 'icp.max_correspondence_distances: [1, 1]', 'seed: 5')},
+    **{f'{WILD}icp: {{iterations: {text}}}\n': '' for text in ('0x10', '010', '+5', '-0', '!!int 5', '&a 5')},
+    **{f'{WILD}scale: {{scale_max: {text}}}\n': '' for text in ('1e1', '1.5e+1', '5.', '7')},
+    **{f'{WILD}scale: {{estimate_scale: {text}}}\n': '' for text in ('no', 'n', 'FALSE', 'off')},
+    **{f'{WILD}{text}\n': '' for text in ('profile: paper\n    icp.iterations: 5', 'profile: "paper"')},
+    f'{WILD}icp: {{iterations: 5}}\n    icp.iterations: 6\n    use_sim_time: true\n': '',
+    f'{WILD}qos_overrides: {{/source: {{subscription: {{depth: 3}}}}}}\n    icp.iterations: 5\n': '',
+    f'other:\n  ros__parameters: {{speed: 1}}\n\ncsgm:\n  {ICP}\n': '',
+    f'{WILD}icp.iterations: 5\ncsgm:\n  {ICP}\n': '',
+    f'csgm:\n  {ICP}\n{WILD}icp.iterations: 5\n': '',
+    f'/robot/csgm:\n  {ICP}\n/csgm:\n  ros__parameters: {{icp.iterations: 7}}\n': '',
+    f'/*:\n  {ICP}\n/other/**:\n  ros__parameters: {{icp.iterations: 7}}\n': '',
+    f'/**/csgm:\n  {ICP}\n/*/*:\n  ros__parameters: {{icp.iterations: 7}}\n': '',
+    f'/robot/csgm:\n  ros__parameters: {{seed: 3}}\n/*/csgm:\n  {ICP}\n': 'robot',
+    f'robot:\n  csgm:\n    {ICP}\n  "*":\n    ros__parameters: {{time_budget: 9}}\n': 'robot',
+    f'{WILD}seed: 1\n/robot/csgm:\n  {ICP}\n/other/csgm/x:\n  ros__parameters: {{time_budget: 9}}\n': 'robot',
+}
+REFUSED = (  # or said to be left out, by the node
+    *(f'{WILD}icp: {{iterations: {text}}}\n' for text in ('"5"', '1_0', '5.0', '~', '[5]', '-3', '!!str 5', 'soon')),
+    *(f'{WILD}scale: {{scale_max: {text}}}\n' for text in ('.inf', '.nan', '"2.0"', 'true')),
+    *(f'{WILD}icp: {{{text}}}\n' for text in ('iteration: 5', 'max_correspondence_distances: []')),
+    *(
+        f'{WILD}{text}\n'
+        for text in ('icp: [{}]', 'trigger: sometimes', 'initial: 5', 'scale: {scale_min: 5.0, scale_max: 2.0}')
+    ),
+)
+UNREADABLE = (  # no node of the file starts
+    *(f'{WILD}{text}\n' for text in ('icp: &a {iterations: 5}\n    x: *a', '\ticp.iterations: 5')),
+    *(f'{WILD}{text}\n' for text in ('icp.max_correspondence_distances: [1, 0.5]', 'icp: {iterations: }')),
+    '/**:\n  ros__parameters:\n',
+)
+
+
+@pytest.fixture
+def both(tmp_path):
+    """Return a function that gives a file to the command line and to a node, and returns what each says."""
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    nodes, path = [], tmp_path / 'file.yaml'
+
+    def started(namespace):
+        arguments = ['--ros-args', '--params-file', str(path)]
+        nodes.append(rclpy.create_node('csgm', context=context, namespace=namespace, cli_args=arguments))
+        return Parameters(nodes[-1]).config, unknown(nodes[-1])
+
+    def give(text, namespace=''):
+        path.write_text(text)
+        answers = []
+        for read in (lambda: read_config(path), lambda: started(namespace)):
+            try:
+                answers.append(read())
+            except Exception as error:
+                answers.append(error)
+        return answers
+
+    yield give
+    for node in nodes:
+        node.destroy_node()
+    context.try_shutdown()
+
+
+def test_the_command_line_reads_a_file_as_the_node_does(both):
+    for text, namespace in READ.items():
+        config, node = both(text, namespace)
+        assert node == (config, []), text
+        assert config != Config() or 'seed' in text, text
+
+
+def test_the_command_line_refuses_what_the_node_refuses(both):
+    for text in REFUSED:
+        config, node = both(text)
+        assert isinstance(config, ConfigError), text
+        assert isinstance(node, Exception) or node[1], text
+    for text in UNREADABLE:
+        config, node = both(text)
+        assert isinstance(config, ConfigError), text
+        assert isinstance(node, RCLError), text

@@ -1,16 +1,19 @@
 """The real node under load for minutes: clouds that never stop, registrations, and clients that disturb it.
 
-Two sensors of 300,000 points at 10 Hz that die and come back, one small pair that registers, three clients that
-change parameters, deactivate, clean up, cancel and register at random. Every few seconds the process is measured.
+Two sensors of 300,000 points at 10 Hz that die and come back, which see one scene, so that their clouds register;
+three clients that change parameters, deactivate, clean up, cancel and register at random. Every few seconds the process
+is measured.
 """
 
 import argparse
 import contextlib
 import os
 import random
+import re
 import sys
 import threading
 import time
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -38,6 +41,8 @@ class Figures:
         Seconds since the start, resident MB, threads, file descriptors, MB in /dev/shm.
     counts : dict
         Operations by name: (answered with success, answered with a reason).
+    reasons : collections.Counter
+        How what ~/register answered begins.
     slowest : dict
         Longest answer of each operation, seconds.
     unanswered : list of str
@@ -50,6 +55,7 @@ class Figures:
 
     rows: list = field(default_factory=list)
     counts: dict = field(default_factory=dict)
+    reasons: Counter = field(default_factory=Counter)
     slowest: dict = field(default_factory=dict)
     unanswered: list = field(default_factory=list)
     ages: list = field(default_factory=list)
@@ -65,9 +71,10 @@ class Figures:
             f'| {name} | {done} | {refused} | {self.slowest[name]:.2f} |'
             for name, (done, refused) in sorted(self.counts.items())
         ]
-        return '\n'.join(
-            [*lines, '', f'unanswered: {self.unanswered or "none"}; oldest message {max(self.ages):.2f} s']
-        )
+        said = ', '.join(f'{reason} {count}' for reason, count in self.reasons.most_common())
+        memory, *others = self.growth()
+        lines += ['', f'register: {said}', f'growth: {100 * memory:.1f} % of memory, {others} of the other columns']
+        return '\n'.join([*lines, f'unanswered: {self.unanswered or "none"}; oldest message {max(self.ages):.2f} s'])
 
     def growth(self) -> tuple[float, int, int, float]:
         """Return how much memory (share), threads, descriptors and MB in /dev/shm grew from the 2nd to the 4th quarter.
@@ -88,6 +95,7 @@ class Figures:
         """Return what is beyond the bounds; ``most`` is the growth of memory, larger while the node warms up."""
         memory, threads, descriptors, shared = self.growth()
         found = [f'unanswered: {each}' for each in self.unanswered]
+        found += [] if self.counts.get('register', (0, 0))[0] else ['no registration was accepted']
         found += [f'{self.tracebacks} tracebacks in the log'] if self.tracebacks else []
         found += [f'memory grew by {100 * memory:.1f} %'] if memory > most else []
         found += [f'{threads} more threads'] if threads > HANDLES else []
@@ -113,12 +121,12 @@ class Disturber(threading.Thread):
                 'set_parameters': lambda: client.set_parameters(self._settings()),
                 'refused parameters': lambda: client.set_parameters({'icp.iterations': -1}),
                 'deactivate': client.deactivate,
-                'cleanup': client.cleanup,
+                'deactivate, cleanup': lambda: [client.deactivate(), client.cleanup()][-1],
                 'configure': lambda: client.configure(timeout=ANSWER),
                 'activate': client.activate,
                 'state': client.state,
             }
-            weights = [4, 2, 4, 1, 1, 1, 3, 6, 2]
+            weights = [9, 1, 4, 1, 1, 1, 3, 6, 2]
             while not self._stop_asked.wait(self._pause * self._rng.random()):
                 (name,) = self._rng.choices(list(operations), weights)
                 self._do(name, operations[name])
@@ -138,12 +146,15 @@ class Disturber(threading.Thread):
         with self._lock:
             done, refused = self._figures.counts.get(name, (0, 0))
             success = getattr(answer, 'success', True)
+            if name == 'register':
+                self._figures.reasons[re.split('[:;,(]', answer.message)[0].strip()] += 1
             self._figures.counts[name] = (done + success, refused + (not success))
             self._figures.slowest[name] = max(seconds, self._figures.slowest.get(name, 0.0))
 
 
-def sensor(topic: str, points: int, rate: float):
-    return Process('-m', 'ros_helpers.send_clouds', topic, '--points', str(points), '--rate', str(rate), '--reliable')
+def sensor(side: str, points: int, rate: float):
+    size = '--points', str(points), '--rate', str(rate)
+    return Process('-m', 'ros_helpers.send_clouds', f'{SPACE}/{side}', '--side', side, *size, '--reliable')
 
 
 def shared_megabytes(pid: int) -> float:
@@ -176,7 +187,7 @@ def soak(seconds: float, *, points: int = 300_000, rate: float = 10.0, pause: fl
     try:
         node.wait_log('active: source', 600.0)  # its kernels may have to be compiled
         with Client(f'{SPACE}/csgm', ANSWER) as client:
-            sensors = [sensor(f'{SPACE}/{name}', points, rate) for name in ('source', 'target')]
+            sensors = [sensor(side, points, rate) for side in ('source', 'target')]
             clients = [Disturber(number, figures, lock, stop, pause) for number in range(3)]
             for each in clients:
                 each.start()
@@ -212,7 +223,7 @@ def watch(seconds, node, client, sensors, figures, rebirth, size):
         if now - born > rebirth:
             born, which = now, turn % 2
             sensors[which].kill() if turn % 4 < 2 else sensors[which].end()
-            sensors[which] = sensor(f'{SPACE}/{("source", "target")[which]}', *size)
+            sensors[which] = sensor(('source', 'target')[which], *size)
             turn += 1
         time.sleep(max(0.0, now + PERIOD - time.monotonic()))
 

@@ -38,6 +38,7 @@ FORMATS = (
     Format('text', ('.xyz', '.txt', '.csv', '.asc', '.pts', '.xyzrgb', '.xyzn'), writes=True),
     Format('arrays', ('.npy', '.npz'), writes=True),
     Format('las', ('.las', '.laz'), writes=True, needs='formats'),
+    Format('e57', ('.e57',), needs='formats'),
     Format('colmap', ('points3d.bin', 'points3d.txt')),
     Format('mesh', ('.obj', '.stl', '.glb', '.gltf', '.off'), needs='formats'),
     Format('depth', ('.png',)),

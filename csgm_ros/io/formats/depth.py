@@ -7,12 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
-from csgm_ros.errors import InputError
+from csgm_ros.errors import ConfigError, InputError
 from csgm_ros.io.cloud_file import CloudFile
+from csgm_ros.io.config_files import parsed
 
 CAMERA_FILES = ('camera.json', 'camera.yaml', 'camera_info.yaml', 'intrinsics.json', 'intrinsics.txt', 'camera.txt')
 DEPTH_SCALE = 1000.0  # of the image per metre: millimetres, as OpenNI, RealSense and ROS write them
+MAX_PIXELS = 1 << 26  # several times a large sensor's; more is an image that was made to fill the memory
+MAX_CAMERA = 1 << 20  # bytes
 MODES = ('I;16', 'I;16B', 'I;16L', 'I')
+UNUSABLE = (
+    *(OSError, ConfigError, ArithmeticError, LookupError, StopIteration),
+    *(ValueError, TypeError, AttributeError, RecursionError),
+)
 
 
 def read(path: Path) -> CloudFile:
@@ -26,6 +33,8 @@ def read(path: Path) -> CloudFile:
     with Image.open(path) as image:
         if image.mode not in MODES:
             raise InputError(f'is an image of mode {image.mode}, not a 16-bit depth image')
+        if image.width * image.height > MAX_PIXELS:
+            raise InputError(f'has {image.width} x {image.height} pixels, more than {MAX_PIXELS}; write a smaller one')
         depth = np.asarray(image).astype(float)
     matrix, scale = camera(_camera_file(path))
     v, u = np.nonzero(depth > 0.0)
@@ -58,17 +67,13 @@ def camera(path: Path) -> tuple[np.ndarray, float]:
         When the file holds no such camera.
     """
     try:
-        text = path.read_text(encoding='utf-8')
+        with path.open(encoding='utf-8') as file:
+            text = file.read(MAX_CAMERA)
         if path.suffix == '.txt':
             return _checked(np.array(text.split(), float), DEPTH_SCALE)
-        if path.suffix == '.json':
-            values = json.loads(text)
-        else:
-            import yaml
-
-            values = yaml.safe_load(text)
+        values = json.loads(text) if path.suffix == '.json' else parsed(text, str(path))
         return _checked(_matrix(values), float(values.get('depth_scale', DEPTH_SCALE)))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except UNUSABLE:
         raise InputError(f'its camera {path.name} holds no camera matrix (fx 0 cx 0 fy cy 0 0 1)') from None
 
 

@@ -5,10 +5,7 @@ from __future__ import annotations
 import io
 import mmap
 import os
-import resource
-import signal
 import struct
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -16,6 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from csgm_ros.errors import InputError
+from csgm_ros.io.apart import done_apart
 from csgm_ros.io.cloud_file import CloudFile, Table, full_brightness
 
 HEADER = struct.Struct('<4s20xBB64x4xHIIBHI20x6d48x')  # LAS 1.0 to 1.4, up to the bounding box
@@ -174,38 +172,15 @@ def _unpacked(path: Path, declared: Header) -> np.ndarray:
 
     shared = mmap.mmap(-1, declared.rows * declared.row_bytes)
     data = np.frombuffer(shared, np.uint8)
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore')  # of forking beside threads: the child calls the decompressor alone
-        child = os.fork()
-    if child == 0:
-        status = 1
-        try:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what native code prints, the error below says
-            _limit(2 * data.size + SPARE)
-            with path.open('rb') as file:
-                file.seek(declared.start)
-                lazrs.LasZipDecompressor(file, declared.laszip).decompress_many(data)
-            status = 0
-        finally:
-            os._exit(status)
-    try:
-        _, status = os.waitpid(child, 0)
-    except BaseException:
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
-        raise
-    if status != 0:
+
+    def decompress() -> None:
+        with path.open('rb') as file:
+            file.seek(declared.start)
+            lazrs.LasZipDecompressor(file, declared.laszip).decompress_many(data)
+
+    if not done_apart(decompress, 2 * data.size + SPARE):
         raise InputError('its compressed data is damaged or cut; copy or write it again')
     return data
-
-
-def _limit(more: int) -> None:
-    """Let this process have ``more`` bytes beyond what it has, and leave no core file."""
-    pages = int(Path('/proc/self/statm').read_text().split()[0])
-    limit = pages * resource.getpagesize() + more
-    hard = resource.getrlimit(resource.RLIMIT_AS)[1]
-    resource.setrlimit(resource.RLIMIT_AS, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def write(file: BinaryIO, cloud: CloudFile, ending: str) -> None:
