@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,10 @@ def read(path: Path) -> CloudFile:
     """
     from PIL import Image
 
-    with Image.open(path) as image:
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', Image.DecompressionBombWarning)  # the size is checked below
+        opened = Image.open(path)
+    with opened as image:
         if image.mode not in MODES:
             raise InputError(f'is an image of mode {image.mode}, not a 16-bit depth image')
         if image.width * image.height > MAX_PIXELS:
