@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from csgm_ros import Session
 from csgm_ros.io.files import read_cloud
 from csgm_ros.tracking.localization import moved, scale_of
+from csgm_ros.tracking.maps import prepare_map
 from csgm_ros.types import rotation_angle
 
 ON_MAP, OFF_MAP, BLOCKED = 1, 2, 3
@@ -119,11 +120,11 @@ def report(sequence: Sequence, rows) -> dict[str, object]:
     out['rotation median deg'] = float(np.median([errors[n][1] for n in judged]))
     out |= trajectory(sequence, {n: given[n].T_map_sensor for n in judged})
     out['first pose after s'] = float(sequence.stamps[min(given)] - sequence.stamps[rows[0][0]])
-    late = [abs(errors[n][2]) for n in judged if sequence.stamps[n] - sequence.stamps[min(given)] > 10]
-    out['scale error after 10 s'] = float(np.median(late)) if late else None
-    times, scales = np.array([(sequence.stamps[n], np.log(given[n].scale)) for n in judged]).T
-    slope = np.polyfit(times, scales, 1)[0] if len(times) > 2 else np.nan
-    out['scale drift a minute'] = float(abs(slope) * 60)
+    late = [n for n in judged if sequence.stamps[n] - sequence.stamps[min(given)] > 10]
+    out['scale error after 10 s'] = float(np.median([abs(errors[n][2]) for n in late])) if late else None
+    if len(late) > 2:
+        slope = np.polyfit(sequence.stamps[late], [np.log(given[n].scale) for n in late], 1)[0]
+        out['scale drift a minute, after 10 s'] = float(abs(slope) * 60)
     seconds = [s for n, e, s in rows if e.state == 'tracking']
     out['latency median, 95 % ms'] = [round(1e3 * float(q)) for q in np.quantile(seconds, (0.5, 0.95))]
     out['errors over sigma'] = calibration(sequence, {n: given[n] for n in judged})
@@ -169,11 +170,12 @@ def starts(sequence: Sequence, count: int, rng: np.random.Generator, longest: fl
     """Localise from random starts on the map, with no more than ``longest`` seconds of frames."""
     on_map = np.flatnonzero(sequence.state == ON_MAP)
     right = wrong = 0
+    prepared = prepare_map(sequence.map)
     work, waited = [], []
     for first in rng.permutation(on_map)[:count]:
         spell = [n for n in range(first, len(sequence)) if sequence.stamps[n] - sequence.stamps[first] <= longest]
         seconds, verdict = 0.0, None
-        session = Session(sequence.map)
+        session = Session(prepared)
         for n in spell:
             started = time.process_time()
             estimate = session.add(sequence.points(n), sequence.stamps[n])

@@ -12,12 +12,13 @@ import numpy as np
 from csgm_ros.config import Config, profile
 from csgm_ros.errors import CsgmError, InputError
 from csgm_ros.tracking import frames, localization, maps
-from csgm_ros.tracking.alignment import align
+from csgm_ros.tracking.alignment import Fit, align
 from csgm_ros.tracking.evidence import Evidence, weigh
 from csgm_ros.tracking.frames import Frame
-from csgm_ros.tracking.localization import scale_of
+from csgm_ros.tracking.localization import scale_of, scaling
 from csgm_ros.tracking.maps import PreparedMap
 from csgm_ros.tracking.odometry import Odometry
+from csgm_ros.tracking.scale import APART, Scale, vertex
 from csgm_ros.tracking.search import Found, Query, expected, search
 from csgm_ros.tracking.views import seen
 from csgm_ros.types import Estimate, Prior
@@ -25,6 +26,7 @@ from csgm_ros.types import Estimate, Prior
 LOST, LOCALIZING, TRACKING = 'lost', 'localizing', 'tracking'
 MIN_POINTS = 200
 SAMPLES = 2500
+SCALE_EVERY, SCALE_SAMPLES = 5, 1200  # frames between corrections of the scale, points of the map asked
 GAIN = 0.5  # of a correction of the map's place relative to the odometry
 SIMILAR = 0.6  # of what was tracked: closeness at which a place is as good
 FLOOR = 0.02, 0.02  # systematic error of a map that is not quite a similarity of the scene: metres, radians
@@ -73,7 +75,8 @@ class Session:
         self._state, self._reason = LOST, 'no frame yet'
         self._place: Any = None  # once localized, T_map_odometry of this segment
         self._confirmed = 0
-        self._scale, self._scale_information = np.nan, 0.0
+        self._scale = Scale()
+        self._since_scaled = 0  # tracked frames since the scale was corrected
         self._level: Any = None  # Level of the map, once localized
         self._prior: Prior | None = None
         self._job: Job | None = None
@@ -90,7 +93,7 @@ class Session:
     @property
     def scale(self) -> float:
         """Map units a metre; NaN while unknown."""
-        return self._scale
+        return self._scale.value
 
     def close(self) -> None:
         """Give up a search that an executor still runs; the session takes frames no more."""
@@ -131,8 +134,8 @@ class Session:
             self._state,
             self._reason,
             pose,
-            self._scale,
-            self._scale_sigma(),
+            self._scale.value,
+            self._scale.sigma,
             None if pose is None else self._covariance,
             evidence.share if evidence else 0.0,
             evidence.agreement if evidence else 0.0,
@@ -214,15 +217,33 @@ class Session:
         if len(visible) < 50:
             return
         chosen = self._rng.permutation(visible)[:SAMPLES]
-        points, normals = self._level.points[chosen], self._level.normals[chosen]
-        matrix = inverse
-        for surface in self._odometry.model[1:]:
-            fit = align(points, normals, surface, matrix, (surface.voxel,), iterations=5, min_cosine=0.5)
-            matrix = fit.matrix
-        self._place = _between(self._place, np.linalg.inv(matrix), GAIN)
+        fit = self._laid(chosen, inverse)
+        self._place = _between(self._place, np.linalg.inv(fit.matrix), GAIN)
         self._covariance = self._covariance_of(fit)
+        self._since_scaled += 1
+        if self._state == TRACKING and self._since_scaled >= SCALE_EVERY:
+            self._since_scaled = 0
+            self._correct_scale(chosen[:SCALE_SAMPLES])
 
-    def _covariance_of(self, fit) -> np.ndarray:
+    def _laid(self, chosen: np.ndarray, start: np.ndarray) -> Fit:
+        """Lay chosen points of the map on what was seen lately, the scale kept."""
+        points, normals = self._level.points[chosen], self._level.normals[chosen]
+        for surface in self._odometry.model[1:]:
+            fit = align(points, normals, surface, start, (surface.voxel,), iterations=5, min_cosine=0.5)
+            start = fit.matrix
+        return fit
+
+    def _correct_scale(self, chosen: np.ndarray) -> None:
+        """Lay the map on what was seen at three scales about the sensor's place; that place stays where it is."""
+        inverse, sensor = np.linalg.inv(self._place), self._odometry.matrix[:3, 3]
+        grown = [scaling(np.exp(step), sensor) for step in (-APART, 0.0, APART)]
+        growth = vertex([self._laid(chosen, matrix @ inverse).score for matrix in grown])
+        if growth is not None:  # the map, in metres, is too small by it: fewer of its units make a metre
+            corrected = self._scale.corrected(-growth)
+            self._place = self._place @ scaling(corrected.value / scale_of(self._place), sensor)
+            self._scale = corrected
+
+    def _covariance_of(self, fit: Fit) -> np.ndarray:
         """Return the covariance of the sensor's pose in the metric map."""
         sigma = max(fit.rms, 0.2 * self._voxel)
         information = fit.information / (CORRELATION * sigma**2)
@@ -266,14 +287,14 @@ class Session:
         stale = self._place is None or stamp - self._supported > part.lost_after
         if self._job is not None or not stale:
             return
-        known = self._scale_information > 0
+        known = self._scale.known
         glance = known and self._prior is not None and not self._glanced
         wide = self._recent[-1][0] - self._recent[0][0] >= part.first_seconds * (0.5 if known else 1.0)
         if not wide and not (glance and len(self._recent) > 1):
             return
         self._glanced = True
         submap = localization.joined([(frame, matrix) for _, frame, matrix in self._recent], self._voxel)
-        scale = self._scale if known else None
+        scale = self._scale.value if known else None
         query = Query(submap, scale, self._prior, self._odometry.matrix, self._enough(), wide)
         inputs = query, self._map, self.config, self._seed, self._closed
         self._job = Job(self._segment, _submitted(self._executor, *inputs))
@@ -296,13 +317,10 @@ class Session:
             return
         self._place, self._confirmed = found.matrix, 0
         self._supported = self._stamp
-        if not self._scale_information:
-            self._scale, self._scale_information = scale_of(found.matrix), 1.0
-        self._level = self._map.level(self._voxel * self._scale)
+        if not self._scale.known:
+            self._scale = Scale.found(scale_of(found.matrix))
+        self._level = self._map.level(self._voxel * self._scale.value)
         self._state, self._reason = LOCALIZING, f'found: {found.reason}'
-
-    def _scale_sigma(self) -> float:
-        return 0.02 / np.sqrt(self._scale_information) if self._scale_information else np.nan
 
 
 def warm_up() -> None:
@@ -313,7 +331,7 @@ def warm_up() -> None:
     corner = faces.reshape(-1, 3) + np.array((0.0, 0.0, 2.0))
     session = Session(corner)
     frame = frames.prepared(corner, frames.resolution(corner, session.config.tracking.resolution))
-    session._voxel, session._scale, session._scale_information = 0.03, 1.0, 1.0
+    session._voxel, session._scale = 0.03, Scale.found(1.0)
     session._move(frame, 0.0, None)
     session._place, session._level = np.eye(4), session._map.level(0.03)
     session._judge(frame)

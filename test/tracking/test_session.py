@@ -1,15 +1,25 @@
 """A session on real frames and on what is no frame; the parts of it on surfaces whose truth is exact."""
 
+from concurrent.futures import Future
+
 import numpy as np
 import pytest
 from sequences import Sequence
 
 from csgm_ros import Session
 from csgm_ros.errors import InputError
-from csgm_ros.tracking import frames, maps, surface, views
+from csgm_ros.tracking import frames, maps, scale, surface, views
 from csgm_ros.tracking.alignment import align
-from csgm_ros.tracking.localization import moved
+from csgm_ros.tracking.localization import moved, scale_of, scaling
 from csgm_ros.tracking.odometry import Odometry, power
+from csgm_ros.tracking.search import Found
+
+
+class Never:
+    """Runs nothing: whoever asked is told the result by the test."""
+
+    def submit(self, *_):
+        return Future()
 
 
 def corner(rng, count=6000):
@@ -98,6 +108,46 @@ def test_a_walk_is_localised_tracked_interrupted_and_found_again(kitchen):
     sigma = np.sqrt(np.diag(estimates[11].covariance))
     assert (sigma > 0).all()
     assert (sigma < 0.2).all()
+
+
+def test_a_scale_that_is_off_is_corrected_without_a_jump(kitchen):
+    factor = 1.04
+    session = Session(kitchen.map, executor=Never())
+    true = scale_of(kitchen.truth[0])
+    for k in range(45):
+        before = session.scale
+        estimate = session.add(kitchen.points(k), kitchen.stamps[k])
+        if k == 10:  # as if a search had ended
+            sensor = session._odometry.matrix
+            place = kitchen.truth[k] @ np.linalg.inv(sensor) @ scaling(factor, sensor[:3, 3])
+            session._job.future.set_result(Found(place, 'told'))
+        if estimate.T_map_sensor is not None:
+            assert scale_of(estimate.T_map_sensor) == pytest.approx(session.scale)
+            assert kitchen.right(k, estimate.T_map_sensor)
+            assert np.isnan(before) or abs(session.scale / before - 1) < 0.005
+    assert abs(session.scale / true - 1) < 0.75 * abs(factor - 1)
+    assert estimate.scale_sigma < 0.02
+
+
+def test_the_scale_is_where_three_scores_say_and_one_wall_says_nothing():
+    step = scale.APART
+    for truth in (-0.8 * step, 0.0, 0.3 * step):
+        scores = [1.0 - ((at - truth) / step) ** 2 for at in (-step, 0.0, step)]
+        assert scale.vertex(scores) == pytest.approx(truth)
+    assert scale.vertex((0.1, 0.5, 0.8)) is not None
+    assert abs(scale.vertex((0.1, 0.5, 0.8))) <= step
+    assert scale.vertex((0.5, 0.5, 0.5)) is None
+    assert scale.vertex((0.6, 0.5, 0.6)) is None
+
+
+def test_a_scale_is_believed_the_more_the_longer_but_never_beyond_what_a_map_is_worth():
+    known, steps = scale.Scale.found(2.0), []
+    for _ in range(200):
+        before, known = known, known.corrected(0.03)
+        steps.append(np.log(known.value / before.value))
+        assert scale.LEAST <= known.sigma <= before.sigma
+    assert 0.0 < min(steps) <= max(steps) < 1.001 * scale.LARGEST_STEP
+    assert not scale.Scale().known
 
 
 @pytest.mark.parametrize(
