@@ -37,6 +37,9 @@ FORMATS = ['laspy>=2.5', 'lazrs>=0.6', 'pye57>=0.4', 'trimesh>=4']
 # Many pairs on many machines; Bokeh draws Dask's dashboard.
 BATCH = ['distributed>=2024.1', 'pyarrow>=15', 'bokeh>=3.1']
 
+# The viewer that `csgm view` takes where it is installed; Open3D's window does without.
+VIEW = ['rerun-sdk>=0.23']
+
 # What builds docs/.
 DOCS = ['sphinx>=7', 'numpydoc']
 
@@ -76,6 +79,7 @@ setup(
         'ros': ROS,
         'formats': FORMATS,
         'batch': BATCH,
+        'view': VIEW,
         'test': ['pytest', 'pytest-timeout', 'pytest-xdist', 'hypothesis', 'selenium', *FORMATS, *BATCH],
         'docs': DOCS,
         'fuzz': ['atheris'],

@@ -47,6 +47,7 @@ from csgm_ros.verification.evidence import Evidence
 from csgm_ros.verification.view import View, Viewpoints
 
 NAMES = ('source', 'target')
+MOST_SHOWN = 4  # hypotheses that people are shown: the answer and the best of what competed with it
 LEAST_EFFORT = {
     'supervoxels.voxel_size': 0.1,
     'supervoxels.seed_size': 0.4,
@@ -420,14 +421,15 @@ def _details(
     best: Similarity, structures: StructurePair, matched: MatchedGraphs, view: View, config: Config
 ) -> Details:
     """Everything that people are shown of an attempt beside its result."""
-    kept, probe = [view.measure(best)], view.surfaces[0].probe
-    for other in sorted(view.measured, key=lambda evidence: -evidence.score):
-        if min(other.transform.displacement(one.transform, probe) for one in kept) > config.verification.different:
-            kept.append(other)
-    hypotheses = (
-        Hypothesis(view.pair.in_own_units(one.transform), one.score, one.fitness_source, one.fitness_target)
-        for one in kept
-    )
+    kept, probe = [(best, 1.0)], view.surfaces[0].probe
+    for other, ratio in view.rivals:
+        if min(other.displacement(one, probe) for one, _ in kept) > config.verification.different:
+            kept.append((other, ratio))
+    hypotheses = []
+    for transform, ratio in kept[:MOST_SHOWN]:
+        found = view.measure(transform)
+        own = view.pair.in_own_units(transform)
+        hypotheses.append(Hypothesis(own, found.score, found.fitness_source, found.fitness_target, ratio))
     unit = view.pair.normalizations[1].scale
     distances = config.verification.inlier_distance / unit, config.ransac.inlier_distance / unit
     return Details((structures.source, structures.target), matched, tuple(hypotheses), *distances)

@@ -438,12 +438,15 @@ class Hypothesis:
         Hypotheses are ranked by it; larger is better.
     fitness_source, fitness_target : float
         Share of either cloud that lies on the other, in [0, 1].
+    ratio : float
+        How well it fits beside the answer, as the verdict counts it: independent surfaces.
     """
 
     transform: Similarity
     score: float
     fitness_source: float
     fitness_target: float
+    ratio: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,11 @@ FILES = {
     '__init__': {'registration'},
 }
 # Libraries that rosdep does not know, extras of pip, and where alone they are imported.
-OPTIONAL = {'formats': {'laspy', 'lazrs', 'pye57', 'trimesh'}, 'batch': {'dask', 'distributed', 'pyarrow'}}
+OPTIONAL = {
+    'formats': {'laspy', 'lazrs', 'pye57', 'trimesh'},
+    'batch': {'dask', 'distributed', 'pyarrow'},
+    'visual': {'rerun'},
+}
 ROS = {
     *('rclpy', 'rcl_interfaces', 'builtin_interfaces', 'std_msgs', 'std_srvs', 'sensor_msgs', 'geometry_msgs'),
     *('diagnostic_msgs', 'visualization_msgs', 'nav_msgs', 'lifecycle_msgs', 'rosgraph_msgs', 'tf2_msgs', 'tf2_ros'),

@@ -63,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
         prog='csgm', description='Registers clouds of different sensors.', epilog=EPILOG, formatter_class=shape
     )
     commands = parser.add_subparsers(metavar='COMMAND', required=True, parser_class=_Parser)
-    adders = (_add_register, _add_apply, _add_export, _add_prepare_map, _add_demo, _add_inspect, _add_config)
+    adders = (_add_register, _add_view, _add_apply, _add_export, _add_prepare_map, _add_demo, _add_inspect, _add_config)
     for add in (*adders, _add_simulate, _add_record_demo):
         add(commands)
     for name, (_, text) in ROS_COMMANDS.items():
@@ -96,6 +96,13 @@ def _add_register(commands) -> None:
     parser.add_argument('--source-topic', metavar='T', default='/source', help='default: /source')
     parser.add_argument('--target-topic', metavar='T', default='/target', help='default: /target')
     parser.set_defaults(run=_register)
+
+
+def _add_view(commands) -> None:
+    parser = commands.add_parser('view', help='show a result in a window: Rerun where it is installed, else Open3D')
+    parser.add_argument('result', help='what register --json wrote')
+    parser.add_argument('clouds', metavar='CLOUD', nargs='*', help='source and target, where they were moved since')
+    parser.set_defaults(run=_view)
 
 
 def _add_apply(commands) -> None:
@@ -193,7 +200,7 @@ def _register(options) -> int:
         raise InputError(f'{error} ({where})') from None
     print(report.summary(result))
     if options.json:
-        report.write_json(options.json, result)
+        report.write_json(options.json, result, _inputs(options))
     _show(options, result, source, target)
     if options.output and result.accepted:
         files.write(options.output, report.fused(source, target, result.transform))
@@ -239,6 +246,37 @@ def _show(options, result, source, target) -> None:
         from csgm_ros.visual.pictures import before_after
 
         before_after(options.picture, source, target, result.transform, f'{names[0]} on {names[1]}: {result.reason}')
+
+
+def _inputs(options) -> dict[str, str]:
+    """Return where the clouds came from, for `csgm view`."""
+    if options.bag:
+        topics = {'source_topic': options.source_topic, 'target_topic': options.target_topic}
+        return {'bag': os.path.abspath(options.bag), **topics}
+    return {'source': os.path.abspath(options.source), 'target': os.path.abspath(options.target)}
+
+
+def _view(options) -> int:
+    from csgm_ros.io.transforms import read_inputs, read_result
+    from csgm_ros.visual.window import view
+
+    transform, accepted = read_result(options.result)
+    if len(options.clouds) not in (0, 2):
+        raise InputError('view takes both clouds, source and target, or neither')
+    inputs = dict(zip(('source', 'target'), options.clouds, strict=False)) or read_inputs(options.result)
+    source, target = _read(**inputs)
+    view(source, target, transform, f'{options.result}: {"accepted" if accepted else "rejected"}')
+    return ACCEPTED
+
+
+def _read(source='', target='', bag='', source_topic='', target_topic=''):
+    """Return both clouds whole."""
+    from csgm_ros.io import bags, files
+
+    if not bag:
+        return files.read_cloud(source), files.read_cloud(target)
+    pair = bags.read_clouds(bag, source_topic, target_topic)
+    return tuple(files.CloudFile(cloud.points, None if cloud.colors is None else cloud.colors / 255) for cloud in pair)
 
 
 def _apply(options) -> int:
@@ -289,16 +327,11 @@ def _clouds(options, config):
     if options.bag:
         if options.source or options.target:
             raise InputError('--bag replaces SOURCE and TARGET; give either')
-        from csgm_ros.io import bags
-
-        pair = bags.read_clouds(options.bag, options.source_topic, options.target_topic)
-        return tuple(
-            files.CloudFile(cloud.points, None if cloud.colors is None else cloud.colors / 255) for cloud in pair
-        )
+        return _read(**_inputs(options))
     if not (options.source and options.target):
         raise InputError('register needs SOURCE and TARGET, or --bag; see csgm register --help')
-    if options.output:
-        return files.read_cloud(options.source), files.read_cloud(options.target)
+    if options.output or options.report or options.picture:
+        return _read(options.source, options.target)
     most, threads = config.preprocess.max_points, config.threads or os.cpu_count() or 1
     return tuple(files.CloudFile(files.read_points(path, most, threads)) for path in (options.source, options.target))
 

@@ -73,15 +73,15 @@ def _undetermined(open_: Undetermined | None) -> dict[str, Any] | None:
     return {'kind': open_.kind, 'direction': open_.direction.tolist(), 'low': open_.low, 'high': open_.high}
 
 
-def write_json(path: str | Path, result: RegistrationResult) -> None:
-    """Write :func:`as_mapping` to a file.
+def write_json(path: str | Path, result: RegistrationResult, inputs: dict[str, str] | None = None) -> None:
+    """Write :func:`as_mapping` to a file, with where the clouds came from as `inputs`.
 
     Raises
     ------
     InputError
         Where the file cannot be written, or the disk is full.
     """
-    write_text(path, json.dumps(as_mapping(result), indent=2, allow_nan=False) + '\n')
+    write_text(path, json.dumps(as_mapping(result) | {'inputs': inputs or {}}, indent=2, allow_nan=False) + '\n')
 
 
 def summary(result: RegistrationResult) -> str:

@@ -54,6 +54,21 @@ def read_result(path: str | Path) -> tuple[Similarity, bool]:
     return transform, bool(values.get('accepted', True))
 
 
+def read_inputs(path: str | Path) -> dict[str, str]:
+    """Return where the clouds of a result file came from: `source` and `target`, or `bag` and its two topics.
+
+    Raises
+    ------
+    InputError
+        When it does not say.
+    """
+    inputs = json.loads(Path(path).read_text(encoding='utf-8')).get('inputs')
+    known = ({'source', 'target'}, {'bag', 'source_topic', 'target_topic'})
+    if not isinstance(inputs, dict) or set(inputs) not in known or not all(isinstance(v, str) for v in inputs.values()):
+        raise InputError(f'{path}: does not say which clouds it is of; name source and target after it')
+    return inputs
+
+
 def quaternion(rotation: np.ndarray) -> np.ndarray:
     """Return the unit quaternion (w, x, y, z), w >= 0, of a (3, 3) rotation."""
     w, x, y, z = _largest_first(np.asarray(rotation, float))

@@ -57,11 +57,14 @@ class Rival:
         RMS displacement from the winner, cells.
     motion : Motion or None
         How to get there from the winner; None where the scale changes too.
+    transform : (4, 4) ndarray or None
+        Between the clouds of the comparison.
     """
 
     ratio: float
     displacement: float
     motion: Motion | None = None
+    transform: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +185,7 @@ def half_shift(
 
 def _rival(comparison: Comparison, winner: np.ndarray, agreement: Agreement, other: np.ndarray) -> Rival:
     apart = _apart(comparison, winner, other)
-    return Rival(_ratio(comparison, other, agreement), apart, motion(winner, other, _few(comparison)))
+    return Rival(_ratio(comparison, other, agreement), apart, motion(winner, other, _few(comparison)), other)
 
 
 def _apart(comparison: Comparison, winner: np.ndarray, other: np.ndarray) -> float:

@@ -41,6 +41,8 @@ class View:
     pair : NormalizedPair
     measured : list of Evidence
         What the verdict compares a transform with, over all attempts at this smoothing.
+    rivals : list of (Similarity, float)
+        What the last verdict compared with, and how well each fitted beside the winner; best first.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class View:
     ):
         self.pair = pair
         self.measured: list[Evidence] = []
+        self.rivals: list[tuple[Similarity, float]] = []
         self._config, self._rng, self._refine = config, rng, refine
         self._viewpoints, self._smoothed = viewpoints, smoothed
         self._comparisons: dict[int, Comparison] = {}
@@ -85,6 +88,7 @@ class View:
         findings = self.compared(best.transform, transforms)
         if self._decided(best, findings).accepted:
             findings = self.probed(best.transform, transforms, findings)
+        self.rivals = self._unreduced(findings, best.transform.scale)
         verdict = within_bounds(
             self._decided(best, findings), self.pair.in_own_units(best.transform).scale, self._config.scale
         )
@@ -108,6 +112,11 @@ class View:
             self._refine,
             estimate_scale=self._config.scale.estimate_scale,
         )
+
+    def _unreduced(self, findings: Findings, scale: float) -> list[tuple[Similarity, float]]:
+        back = np.diag([*3 * [self.comparison(scale)[1]], 1.0])
+        rivals = sorted(findings.rivals, key=lambda rival: -rival.ratio)
+        return [(Similarity.from_matrix(r.transform @ back), r.ratio) for r in rivals if r.transform is not None]
 
     def _decided(self, best: Evidence, findings: Findings) -> Verdict:
         units = Units(1.0 / self.pair.normalizations[1].scale, self.pair.in_own_units(best.transform).scale)

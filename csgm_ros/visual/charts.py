@@ -8,6 +8,7 @@ import io
 import numpy as np
 
 LARGEST = 480  # pixels of the side of a matrix
+SIZE = 3.9, 2.9  # inches of a chart: its letters are as large as those of the page
 
 
 def png(pixels: np.ndarray, colors: int = 128) -> str:
@@ -38,7 +39,7 @@ def curve(points: np.ndarray, x: str, y: str) -> str:
     """Return an (n, 2) curve as inline SVG."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(5, 3), layout='constrained')
+    figure = Figure(figsize=SIZE, layout='constrained')
     axes = figure.add_subplot(xlabel=x, ylabel=y)
     axes.plot(*points.T, marker='.', color='#1f78b5')
     axes.grid(alpha=0.3)
@@ -49,15 +50,15 @@ def histogram(named: dict[str, tuple[np.ndarray, str]], reach: float, inlier_dis
     """Return the distances of both clouds as inline SVG; ``inlier_distance`` is marked."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(5, 3), layout='constrained')
+    figure = Figure(figsize=SIZE, layout='constrained')
     axes = figure.add_subplot(xlabel='distance to the other cloud (unit of the target)', ylabel='share of the points')
     for name, (values, color) in named.items():
         near = values[values < reach]
-        label = f'{name} ({(values < inlier_distance).mean():.0%} within the inlier distance)'
+        label = f'{name}, {(values < inlier_distance).mean():.0%} left of the line'
         weights = np.full(len(near), 1 / len(values))
         axes.hist(near, bins=60, range=(0.0, reach), weights=weights, histtype='step', color=color, label=label)
     axes.axvline(inlier_distance, color='#222222', lw=1, ls='--')
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=9)
     return _svg(figure)
 
 

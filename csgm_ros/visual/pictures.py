@@ -12,7 +12,7 @@ from csgm_ros.io.atomic import replacing
 from csgm_ros.io.cloud_file import CloudFile
 from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT
 from csgm_ros.types import Similarity, Supervoxels
-from csgm_ros.visual.slices import principal_axes, slices
+from csgm_ros.visual.slices import frame_of, principal_axes, slices
 
 # Rows: what a view shows to the right, downwards and away from the eye, in the target's optical frame.
 FRONT = np.eye(3)
@@ -35,15 +35,20 @@ def before_after(path: str | Path, source: CloudFile, target: CloudFile, transfo
     caption : str
         One line under the picture.
     """
-    source, target = _finite(source), _finite(target)
+    source, target = finite(source), finite(target)
     moved = CloudFile(transform.apply(source.points), source.colors)
     tinted = [_tinted(target, TARGET_TINT), _tinted(moved, SOURCE_TINT)]
-    raw = [_tinted(target, TARGET_TINT), _tinted(source, SOURCE_TINT)]
+    title, came = 'before: both as they came, source orange, target blue', source
+    frames = frame_of(source.points), frame_of(target.points)
+    if not seen_together(frames[1] @ frames[0].inverse()):
+        title = 'before: both, middle and size matched, source orange, target blue'
+        came = CloudFile((frames[1].inverse() @ frames[0]).apply(source.points), source.colors)
+    raw = [_tinted(target, TARGET_TINT), _tinted(came, SOURCE_TINT)]
     oblique = turned(FRONT, 28, 22)
     panels = [
         ('before: the source, in a unit and pose of its own', [source], FRONT),
         ('before: the target', [target], oblique),
-        ('before: both as they came, source orange, target blue', raw, oblique),
+        (title, raw, oblique),
         ('after: the source on the target', tinted, oblique),
         ('after, from above', tinted, TOP),
         ('after, in their own colours', [target, moved], oblique),
@@ -51,6 +56,11 @@ def before_after(path: str | Path, source: CloudFile, target: CloudFile, transfo
     drawn = [(title, draw(clouds, view)) for title, clouds, view in panels]
     drawn += [(f'{title}: dark where both are', pixels) for title, pixels in slices(moved.points, target.points)]
     _write(path, drawn, 3, caption)
+
+
+def seen_together(came: Similarity) -> bool:
+    """Tell whether one picture shows both clouds; ``came`` goes from the source's frame of radius 1 to the target's."""
+    return 0.1 < came.scale < 10.0 and float(np.linalg.norm(came.translation)) < 6.0
 
 
 def supervoxels(path: str | Path, clouds: Mapping[str, Supervoxels | None]) -> None:
@@ -158,7 +168,8 @@ def draw(clouds: list[CloudFile], view: np.ndarray, size: tuple[int, int] = (430
     return image
 
 
-def _finite(cloud: CloudFile) -> CloudFile:
+def finite(cloud: CloudFile) -> CloudFile:
+    """Return a cloud without the rows that are not finite, and without normals."""
     keep = np.isfinite(cloud.points).all(axis=1)
     return CloudFile(cloud.points[keep], None if cloud.colors is None else cloud.colors[keep])
 

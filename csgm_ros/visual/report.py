@@ -84,9 +84,9 @@ def _summary(data: ReportData) -> str:
 
 
 def would_have_changed(data: ReportData) -> list[str]:
-    """Return what about the evidence would have had to be otherwise for the other verdict, a line each."""
+    """Return what about the evidence would have to be otherwise for the other verdict, nearest first."""
     lines = []
-    for term in data.terms:
+    for term in sorted(data.terms, key=lambda term: abs(term.value / (term.threshold or 1.0) - 1.0)):
         if term.passed == data.accepted:
             side = 'below' if term.at_least == data.accepted else 'above'
             verb = 'would have been rejected with' if data.accepted else 'needs'
@@ -138,29 +138,35 @@ def _slices(data: ReportData, shown: tuple[Shown, Shown]) -> str:
         'target': (back, _hex(TARGET_TINT)),
     }
     chart = f'<figure>{charts.histogram(named, reach, data.inlier_distance)}</figure>'
-    note = 'Source orange, target blue, dark where they are in one place. A wrong transform shows two outlines.'
+    note = (
+        'Source orange, target blue, dark where they are in one place. A wrong transform shows two outlines. The chart '
+        'counts every point; the shares of the hypotheses, evenly, only what is turned as the other surface is.'
+    )
     return _section('slices', 'Slices, and how far the clouds are apart', f'<div class="row">{row}{chart}</div>', note)
 
 
 def _hypotheses(data: ReportData) -> str:
-    best = max(pose.score for pose in data.poses) or 1.0
     rows = [
         (
             'answer' if rank == 0 else f'competing {rank}',
-            f'{pose.score:.3f}',
-            _bar(pose.score / best),
+            f'{pose.ratio:.2f}',
+            _bar(pose.ratio / max(pose.ratio for pose in data.poses)),
             f'{pose.fitness_source:.0%} / {pose.fitness_target:.0%}',
             f'{pose.transform.scale:.4g}',
-            _apart(data, pose.transform),
+            *_apart(data, pose.transform),
         )
         for rank, pose in enumerate(data.poses)
     ]
-    head = ('hypothesis', 'score', '', 'on the other: source / target', 'scale', 'turned from the answer by')
-    return _section('hypotheses', 'Hypotheses', _table(rows, head), 'The view above shows each of them.')
+    head = ('hypothesis', 'fits', '', 'on the other: source / target', 'scale', 'turned by', 'moved by')
+    note = 'The view shows each. The margin is 1 over how well the best competing one fits. Lengths are of the target.'
+    return _section('hypotheses', 'Hypotheses', _table(rows, head), note)
 
 
-def _apart(data: ReportData, transform: Similarity) -> str:
-    return f'{np.degrees(rotation_angle(data.poses[0].transform.rotation.T @ transform.rotation)):.1f} deg'
+def _apart(data: ReportData, transform: Similarity) -> tuple[str, str]:
+    """Return how far a transform is from the answer; the distance is the mean of the source's points."""
+    answer, points = data.poses[0].transform, data.source.points[:: 1 + len(data.source.points) // 5000]
+    moved = np.nanmean(np.linalg.norm(transform.apply(points) - answer.apply(points), axis=1))
+    return f'{np.degrees(rotation_angle(answer.rotation.T @ transform.rotation)):.1f} deg', f'{moved:.3g}'
 
 
 def _segmentations(data: ReportData, shown: tuple[Shown, Shown]) -> str:

@@ -13,14 +13,13 @@ from scipy.spatial import cKDTree
 from csgm_ros.cloud.prepare import normals_of
 from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT
 from csgm_ros.types import Similarity
-from csgm_ros.visual.pictures import FRONT, palette, turned
+from csgm_ros.visual.pictures import FRONT, palette, seen_together, turned
 from csgm_ros.visual.report_data import ReportData, Segmentation
-from csgm_ros.visual.slices import principal_axes
+from csgm_ros.visual.slices import frame_of, principal_axes
 
 SHOWN = 200_000  # points of a cloud at most
 LEVELS = 8  # each holds as many points as all before it, evenly spread
 REACH = 4.0  # inlier distances at which the colour of the distance ends
-POSES = 4  # the answer and what competed with it
 SLAB = 0.02  # half the thickness of a slice, in radii of the target
 FIELD, ASPECT = 40.0, 1.3  # degrees that the view is high, and how much wider it is
 COLORS = 64
@@ -139,14 +138,12 @@ def _shown(points: np.ndarray, colors: np.ndarray | None, segmentation: Segmenta
     rng = np.random.default_rng(0)
     if len(kept) > SHOWN:
         kept = np.sort(rng.choice(kept, SHOWN, replace=False))
-    middle = np.median(points[kept], axis=0)
-    radius = float(np.quantile(np.linalg.norm(points[kept] - middle, axis=1), 0.98)) or 1.0
-    frame = Similarity(1.0 / radius, np.eye(3), -middle / radius)
+    frame = frame_of(points[kept])
     kept = kept[_drawing_order(frame.apply(points[kept]))]
     own = points[kept]
     labels = None
     if segmentation is not None:
-        gaps, near = cKDTree(segmentation.points).query(own, distance_upper_bound=LABELLED * radius)
+        gaps, near = cKDTree(segmentation.points).query(own, distance_upper_bound=LABELLED / frame.scale)
         labels = np.where(np.isfinite(gaps), segmentation.labels[np.minimum(near, len(segmentation.labels) - 1)], -1)
     normals = normals_of(own, min(16, len(own)))
     return Shown(own, normals, None if colors is None else colors[kept], labels, frame)
@@ -186,7 +183,7 @@ def _poses(data: ReportData, source: Shown, target: Shown, arrays: Arrays) -> tu
     """Poses of the source, first those before registration; and which of these to show."""
     to_view, from_local = target.frame, source.frame.inverse()
     came = to_view @ from_local
-    in_sight = 0.1 < came.scale < 10.0 and np.linalg.norm(came.translation) < 6.0
+    in_sight = seen_together(came)
     first = 'as they came'
     note = 'Both clouds in the units and frames of their files.'
     if not in_sight:
@@ -200,9 +197,11 @@ def _poses(data: ReportData, source: Shown, target: Shown, arrays: Arrays) -> tu
         ),
     ]
     reach = REACH * data.inlier_distance
-    for rank, pose in enumerate(data.poses[:POSES]):
+    for rank, pose in enumerate(data.poses):
         shares = f'{pose.fitness_source:.0%} of the source and {pose.fitness_target:.0%} of the target'
-        said = f'{shares} lie on the other; score {pose.score:.3g}.'
+        said = f'{shares} lie on the other' + (
+            f'; it fits {pose.ratio:.2f} times as well as the answer.' if rank else '.'
+        )
         name = f'competing hypothesis {rank}'
         if rank == 0:
             name = 'registered: the answer' if data.accepted else 'best estimate, which was rejected'
@@ -269,9 +268,10 @@ def _framed(rows: np.ndarray, points: np.ndarray) -> dict:
     """Return a view that all of (N, 3) points but a few outliers fill; ``rows`` are right, down and into the page."""
     low, high = np.quantile(points @ rows.T, (0.01, 0.99), axis=0)
     width, height, depth = high - low
-    distance = max(width / ASPECT, height) / (2 * np.tan(np.radians(FIELD / 2))) + depth / 2
+    distance = 1.06 * max(width / ASPECT, height) / (2 * np.tan(np.radians(FIELD / 2))) + depth / 2
     center = rows.T @ ((low + high) / 2)
-    return {'right': rows[0].tolist(), 'down': rows[1].tolist(), 'distance': distance, 'center': center.tolist()}
+    right, down = rows[:2].tolist()
+    return {'right': right, 'down': down, 'distance': distance, 'center': center.tolist(), 'width': width}
 
 
 def _bytes(values: np.ndarray) -> np.ndarray:

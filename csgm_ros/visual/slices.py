@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT
+from csgm_ros.types import Similarity
 
 HALF = 0.015  # half the thickness, in radii
 PLACES = np.linspace(0.1, 0.9, 17)  # quantiles of the overlap along an axis at which a slice is tried
@@ -25,9 +26,8 @@ def slices(source: np.ndarray, target: np.ndarray, size: tuple[int, int] = (430,
     list of (str, (H, W, 3) ndarray)
         Title and picture in [0, 1]: the target blue, the source orange, dark where they are in one place.
     """
-    middle = np.median(target, axis=0)
-    radius = float(np.quantile(np.linalg.norm(target - middle, axis=1), 0.98)) or 1.0
-    clouds = [(cloud - middle) / radius for cloud in (source, target)]
+    frame = frame_of(target)
+    clouds = [frame.apply(cloud) for cloud in (source, target)]
     clouds = [cloud[(np.abs(cloud) < 1.6).all(axis=1)] for cloud in clouds]
     axes = principal_axes(clouds[1])
     made = []
@@ -36,6 +36,13 @@ def slices(source: np.ndarray, target: np.ndarray, size: tuple[int, int] = (430,
         cuts = [_cut(clouds, axes[k], flat, place) for place in _places(clouds, axes[k])]
         made.append((f'slice across axis {k + 1}', _drawn(_most_outline(cuts), size)))
     return made
+
+
+def frame_of(points: np.ndarray) -> Similarity:
+    """Return the similarity from (N, 3) points to centre 0 and radius 1, blind to a few far outliers."""
+    middle = np.median(points, axis=0)
+    radius = float(np.quantile(np.linalg.norm(points - middle, axis=1), 0.98)) or 1.0
+    return Similarity(1.0 / radius, np.eye(3), -middle / radius)
 
 
 def principal_axes(points: np.ndarray) -> np.ndarray:

@@ -21,8 +21,7 @@ from csgm_ros.types import Similarity
 KEYS = {
     *('T_target_source', 'scale', 'accepted', 'reason', 'fitness_source', 'fitness_target', 'inlier_rmse', 'margin'),
     *('seconds', 'timings', 'seed', 'config'),
-    'confidence',
-    'undetermined',
+    *('confidence', 'undetermined', 'inputs'),
 }
 COMMAND = [sys.executable, '-m', 'csgm_ros.cli.main']
 
@@ -79,11 +78,12 @@ def test_what_is_expected_is_read_and_what_is_not_is_said(pair, tmp_path, capsys
     assert ['--initial' in said[0], 'none.json' in said[1], 'sigma' in said[2]] == [True] * 3
 
 
-def test_the_json_holds_the_promised_keys(registered):
+def test_the_json_holds_the_promised_keys(pair, registered):
     result = json.loads((registered[1] / 'result.json').read_text())
     assert set(result) == KEYS
     assert result['accepted'] is True
     assert result['seed'] == 4
+    assert result['inputs'] == {'source': str(pair[0]), 'target': str(pair[1])}
     assert np.linalg.det(np.array(result['T_target_source'])[:3, :3]) == pytest.approx(result['scale'] ** 3)
     assert replaced(profile(), result['config']) == profile()
     assert sum(result['timings'].values()) == pytest.approx(result['seconds'])
@@ -200,7 +200,7 @@ def test_simulate_and_inspect(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     'name',
-    ['register', 'apply', 'export-transform', 'demo', 'inspect', 'config', 'simulate', 'record-demo', 'replay', 'call'],
+    ['register', 'view', 'apply', 'export-transform', 'demo', 'inspect', 'config', 'simulate', 'record-demo', 'replay'],
 )
 def test_every_command_has_help(name):
     pytest.importorskip('rclpy')

@@ -5,6 +5,7 @@
 
 const FRAME = 40; // milliseconds that a frame may take while something moves
 const REST = 180; // milliseconds of stillness after which everything is drawn
+const APART = 2.2; // widths of both clouds from which the two are seen beside each other
 const GLIDE = 500; // milliseconds from one pose to another
 const MODES = { tint: 0, own: 1, error: 2, supervoxels: 3 };
 
@@ -76,7 +77,8 @@ class View {
     this.scene = new THREE.Scene();
     this.scene.background = new THREE.Color(0xffffff);
     this.camera = new THREE.PerspectiveCamera(manifest.field, 1, 0.01, 100);
-    this.state = { pose: manifest.start, color: 'tint', layers: {}, cells: 0, slab: -1, slab_at: 0, size: 2 };
+    this.state = { pose: manifest.start, color: 'tint', layers: {}, cells: 0, slab: -1, slab_at: 0, size: 2, apart: false };
+    this.side = 'start';
     this.parts = {};
     for (const name of ['source', 'target']) this.addCloud(name, manifest.clouds[name]);
     if (manifest.graphs) this.addGraphs(manifest.graphs);
@@ -124,6 +126,7 @@ class View {
       const dots = new THREE.BufferGeometry().setAttribute('position', new THREE.BufferAttribute(nodes, 3));
       dots.setAttribute('light', new THREE.BufferAttribute(new Uint8Array(nodes.length / 3).fill(255), 1, true));
       const material = this.material(tint, 0, false);
+      material.depthTest = false; // what is inside a supervoxel is to be seen
       material.uniforms.size.value = 9;
       material.uniforms.round.value = true;
       this.add(`${name}_nodes`, new THREE.Points(dots, material), false);
@@ -136,11 +139,12 @@ class View {
 
   lines(ends, color) {
     const geometry = new THREE.BufferGeometry().setAttribute('position', new THREE.BufferAttribute(ends, 3));
-    return new THREE.LineSegments(geometry, new THREE.LineBasicMaterial({ color }));
+    return new THREE.LineSegments(geometry, new THREE.LineBasicMaterial({ color, depthTest: false }));
   }
 
   add(name, object, shown = true) {
     object.frustumCulled = false;
+    object.renderOrder = object.material.depthTest ? 0 : 1;
     object.matrixAutoUpdate = false;
     this.scene.add(object);
     this.state.layers[name] = shown;
@@ -151,7 +155,7 @@ class View {
     return new THREE.Matrix4().fromArray(this.manifest.poses[pose].matrix.flat()).transpose();
   }
 
-  /** Change what is shown: any of pose, color, layers, cells, slab, slab_at, size. */
+  /** Change what is shown: any of pose, color, layers, cells, slab, slab_at, size, apart. */
   set(changes, glide = true) {
     const layers = { ...this.state.layers, ...(changes.layers || {}) };
     const before = this.state.pose;
@@ -162,6 +166,7 @@ class View {
       this.wake(GLIDE + REST);
     }
     this.apply();
+    if ('apart' in changes) this.look(this.side);
   }
 
   apply() {
@@ -188,8 +193,9 @@ class View {
 
   /** Put what belongs to the source where it is now, and the matches between. */
   place() {
+    const placed = new THREE.Matrix4().makeTranslation(this.aside(1)).multiply(this.matrix);
     for (const name of ['source', 'source_nodes', 'source_edges'])
-      if (this.parts[name]) this.parts[name].matrix.copy(this.matrix), (this.parts[name].matrixWorldNeedsUpdate = true);
+      if (this.parts[name]) this.parts[name].matrix.copy(placed), (this.parts[name].matrixWorldNeedsUpdate = true);
     const graphs = this.manifest.graphs;
     if (!graphs || !(this.state.layers.inliers || this.state.layers.outliers)) return;
     const ends = { inliers: [], outliers: [] };
@@ -198,6 +204,7 @@ class View {
       const moved = new THREE.Vector3(...graphs.source.nodes[i]).applyMatrix4(this.matrix);
       const fixed = new THREE.Vector3(...graphs.target.nodes[a]);
       const agrees = given ? given[k] : moved.distanceTo(fixed) < graphs.inlier_distance;
+      moved.add(this.aside(1));
       ends[agrees ? 'inliers' : 'outliers'].push(...moved.toArray(), ...fixed.toArray());
     });
     for (const name of ['inliers', 'outliers']) {
@@ -207,13 +214,22 @@ class View {
     this.counts = { inliers: ends.inliers.length / 6, outliers: ends.outliers.length / 6 };
   }
 
+  /** The way from where the source belongs to where it is drawn, or a part of it: none, or to the left. */
+  aside(part) {
+    const { right, width } = this.manifest.views[this.side];
+    return new THREE.Vector3(...right).multiplyScalar(this.state.apart ? -1.1 * part * width : 0);
+  }
+
   /** Look from one of the named sides. */
   look(side) {
-    const { right, down, distance, center } = this.manifest.views[side];
+    this.side = side;
+    this.place();
+    const { right, down, center, width, distance: near } = this.manifest.views[side];
+    const distance = this.state.apart ? Math.max(near, APART * width) : near;
     const r = new THREE.Vector3(...right), d = new THREE.Vector3(...down);
     const away = new THREE.Vector3().crossVectors(r, d); // into the page
-    this.controls.target.set(...center);
-    this.camera.position.set(...center).addScaledVector(away, -distance);
+    this.controls.target.set(...center).add(this.aside(0.5));
+    this.camera.position.copy(this.controls.target).addScaledVector(away, -distance);
     this.camera.up.copy(d).negate();
     this.controls.update();
     this.wake();
@@ -232,6 +248,7 @@ class View {
   /** Draw until `more` milliseconds from now, then once more with every point. */
   wake(more = REST) {
     this.until = Math.max(this.until, performance.now() + more);
+    this.woken = true; // however long the frame before took
     if (!this.running) {
       this.running = true;
       this.last = null;
@@ -240,7 +257,8 @@ class View {
   }
 
   tick(now) {
-    const moving = performance.now() < this.until;
+    const moving = this.woken || performance.now() < this.until;
+    this.woken = false;
     if (this.last !== null) {
       const took = now - this.last, total = this.parts.source.count + this.parts.target.count;
       if (took > FRAME) this.budget = Math.max(10000, Math.min(this.budget, total) * Math.max(0.4, (0.9 * FRAME) / took));
@@ -322,6 +340,13 @@ function connect(view) {
     if (!(box.dataset.layer in view.parts)) box.parentElement.remove();
     else box.checked = view.state.layers[box.dataset.layer];
     box.addEventListener('change', () => view.set({ layers: { [box.dataset.layer]: box.checked } }));
+  });
+  const apart = document.getElementById('apart'), matched = document.getElementById('matched');
+  apart.addEventListener('change', () => view.set({ apart: apart.checked }));
+  if (!view.parts.inliers) matched.remove();
+  matched.addEventListener('click', () => {
+    for (const box of [apart, ...all('[data-layer$=_nodes], [data-layer=inliers], [data-layer=outliers]')])
+      if (!box.checked) box.click();
   });
   const pose = document.getElementById('pose');
   const say = () => (document.getElementById('pose-note').textContent = view.manifest.poses[view.state.pose].note);
