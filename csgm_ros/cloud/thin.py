@@ -16,12 +16,13 @@ from csgm_ros.cloud.kernels import kernel
 from csgm_ros.errors import DegenerateCloudError, InputError
 
 PART = 1_000_000  # rows: the first part sets the lattice, so files and arrays are cut alike
-FIRST = 2.0**12  # voxels on the side of the first part
+FIRST = 2.0  # voxels on the side of the first part, relative to the root of how many there may be
 SHARE = 0.05  # of its points that may lie beyond that side, at either end
 FIXED_BITS = 18  # of a first voxel's edge
 FARTHEST = 2.0**60  # voxels from the origin
-BLOCK = 64  # points whose voxels are looked up side by side
-KEY, COUNT, SUM, FIELDS = 0, 3, 4, 8  # of a row of the table: three coordinates, a number, three sums, one cache line
+BLOCK = 16  # points whose voxels are looked up side by side
+COUNT, FIELDS = 3, 8  # of a voxel: three coordinates, a number, three sums, filled up to a cache line
+FREE = -1  # place in the table
 
 
 def parts_of(points: np.ndarray) -> Iterator[np.ndarray]:
@@ -38,7 +39,7 @@ def thinned(parts: Iterable[np.ndarray], most: int, threads: int = 1) -> np.ndar
     parts : iterable of (N, 3) ndarray
         The cloud; rows that are not finite are left out. Held in memory one at a time and thread.
     most : int
-        Voxels at most. A thread takes 128 bytes for each.
+        Voxels at most. A thread takes 80 bytes for each.
     threads : int, optional
         Parts worked on at a time; the result does not depend on it.
 
@@ -58,7 +59,7 @@ def thinned(parts: Iterable[np.ndarray], most: int, threads: int = 1) -> np.ndar
     first = next((part for part in map(_floats, parts) if np.isfinite(part).all(1).any()), None)
     if first is None:
         raise DegenerateCloudError('no finite point; record the cloud again')
-    edge, lock = _first_edge(first), threading.Lock()
+    edge, lock = _first_edge(first, most), threading.Lock()
     waiting = [first]
 
     def taken() -> np.ndarray | None:
@@ -81,59 +82,71 @@ def thinned(parts: Iterable[np.ndarray], most: int, threads: int = 1) -> np.ndar
 
 
 class _Voxels:
-    """Occupied voxels as an open-addressing hash table."""
+    """Occupied voxels, side by side in the order in which they are met, and an open-addressing table of their places."""
 
     def __init__(self, edge: float, most: int):
         self._edge, self._most, self._level, self._used = edge, most, 0, 0
-        self._table = np.zeros((1 << int(2 * most).bit_length(), FIELDS), np.int64)
+        self._rows = np.empty((most + 1, FIELDS), np.int64)
+        self._table = _table(most)
 
     def add(self, points: np.ndarray) -> None:
         """Take in (N, 3) float64 points."""
         done = 0
         while done < len(points):
             scale = 1.0 / (self._edge * 2.0**self._level)
-            done, self._used, far = _absorb(points, done, scale, self._level, self._table, self._used, self._most)
+            done, self._used, far = _absorb(points, done, scale, self._level, self._table, self._rows, self._used)
             if far:
                 raise InputError(f'point {points[done]} is far from all others; remove it or choose a larger unit')
-            if self._used > self._most:
+            while self._used > self._most:
                 self._coarsen()
 
     def merge(self, other: _Voxels) -> None:
         """Take in the voxels of another of the same lattice."""
         while self._level != other._level:
             (self if self._level < other._level else other)._coarsen()
-        rows = other._table[other._table[:, COUNT] > 0]
-        table = np.zeros((1 << int(2 * (self._used + len(rows))).bit_length(), FIELDS), np.int64)
-        used = _collect(self._table, table, 0, 0, 0)
-        self._used, self._table = _collect(rows, table, 0, 0, used), table
+        self._rows = np.concatenate((self._rows[: self._used], other._rows[: other._used]))
+        self._table = _table(len(self._rows))
+        self._used = _collect(self._rows, len(self._rows), self._table, 0, 0)
         while self._used > self._most:
             self._coarsen()
 
     def means(self) -> np.ndarray:
         """Return the mean of each voxel, (M, 3), by coordinates."""
-        rows = self._table[self._table[:, COUNT] > 0]
-        rows = rows[np.lexsort(rows[:, KEY:COUNT].T[::-1])]
-        within = rows[:, SUM : SUM + 3] / (rows[:, COUNT, None] * 2.0**FIXED_BITS)
-        return rows[:, KEY:COUNT] * (self._edge * 2.0**self._level) + within * self._edge
+        rows = self._rows[: self._used]
+        return _means(rows, _order(rows[:, :COUNT]), self._edge, self._edge * 2.0**self._level)
 
     def _coarsen(self) -> None:
-        table = np.zeros_like(self._table)
-        self._used = _collect(self._table, table, 1, FIXED_BITS + self._level, 0)
-        self._table, self._level = table, self._level + 1
+        self._table[:] = FREE
+        self._used = _collect(self._rows, self._used, self._table, 1, FIXED_BITS + self._level)
+        self._level += 1
+
+
+def _table(most: int) -> np.ndarray:
+    return np.full(1 << int(2 * most).bit_length(), FREE, np.int32)
+
+
+def _order(keys: np.ndarray) -> np.ndarray:
+    """Return the order of (M, 3) integers, row by row."""
+    low, high = keys.min(axis=0), keys.max(axis=0)
+    bits = [int(extent).bit_length() for extent in (high - low)]
+    if sum(bits) > 62:
+        return np.lexsort(keys.T[::-1])
+    x, y, z = (keys - low).T
+    return np.argsort((x << bits[1] | y) << bits[2] | z)
 
 
 def _floats(part: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(part, dtype=np.float64)
 
 
-def _first_edge(points: np.ndarray) -> float:
-    """Return a power of two of which some thousands span the bulk of a part."""
+def _first_edge(points: np.ndarray, most: int) -> float:
+    """Return a power of two so small that a surface across the bulk of a part fills more voxels than there may be."""
     sample = points[:: -(-len(points) // 10_000)]
     sample = sample[np.isfinite(sample).all(1)]
     sample = sample if len(sample) else points[np.isfinite(points).all(1)][:1]
     low, high = np.quantile(sample, (SHARE, 1.0 - SHARE), axis=0)
     extent = max(float((high - low).max()), 1e-9 * float(np.abs([low, high]).max()), 1e-290)
-    return float(2.0 ** np.floor(np.log2(extent / FIRST)))
+    return float(2.0 ** np.floor(np.log2(extent / (FIRST * np.sqrt(most)))))
 
 
 @kernel(inline=True)
@@ -145,19 +158,23 @@ def _home(table, x, y, z):
 
 
 @kernel(inline=True)
-def _slot(table, home, x, y, z):
-    """Return where a voxel is, or belongs."""
+def _slot(table, rows, home, x, y, z):
+    """Return where the place of a voxel is, or belongs."""
     slot = home
-    while table[slot, 3] > 0 and (table[slot, 0] != x or table[slot, 1] != y or table[slot, 2] != z):
+    while table[slot] >= 0:
+        row = table[slot]
+        if rows[row, 0] == x and rows[row, 1] == y and rows[row, 2] == z:
+            break
         slot = (slot + 1) & (len(table) - 1)
     return slot
 
 
 @kernel
-def _absorb(points, first, scale, level, table, used, most):
+def _absorb(points, first, scale, level, table, rows, used):
     """Add points until there are too many voxels; return the next point, the voxels, and whether it lies too far.
 
-    The rows of a block of points are touched before they are needed, so that the processor fetches them side by side.
+    What a block of points needs of the table and of the rows is touched before, so that the processor fetches it side
+    by side.
     """
     unit = 2.0 ** (FIXED_BITS + level)
     cells, homes, good = np.empty((BLOCK, 3)), np.empty(BLOCK, np.int64), np.empty(BLOCK, np.int64)
@@ -174,8 +191,8 @@ def _absorb(points, first, scale, level, table, used, most):
             if good[j]:
                 homes[j] = _home(table, np.int64(cells[j, 0]), np.int64(cells[j, 1]), np.int64(cells[j, 2]))
         for j in range(count):
-            if good[j]:
-                touched[0] += table[homes[j], 3]
+            if good[j] and table[homes[j]] >= 0:
+                touched[0] += rows[table[homes[j]], 3]
         for j in range(count):
             i = start + j
             if not good[j]:
@@ -183,31 +200,59 @@ def _absorb(points, first, scale, level, table, used, most):
                     return i, used, True
                 continue
             x, y, z = np.int64(cells[j, 0]), np.int64(cells[j, 1]), np.int64(cells[j, 2])
-            slot = _slot(table, homes[j], x, y, z)
-            if table[slot, 3] == 0:
-                table[slot, 0], table[slot, 1], table[slot, 2] = x, y, z
+            slot = _slot(table, rows, homes[j], x, y, z)
+            row = table[slot]
+            if row < 0:
+                row = table[slot] = used
+                rows[row, 0], rows[row, 1], rows[row, 2] = x, y, z
+                rows[row, 3:7] = 0
                 used += 1
-            table[slot, 3] += 1
+            rows[row, 3] += 1
             for k in range(3):
-                table[slot, 4 + k] += np.int64((points[i, k] * scale - cells[j, k]) * unit)
-            if used > most:
+                rows[row, 4 + k] += np.int64((points[i, k] * scale - cells[j, k]) * unit)
+            if used == len(rows):
                 return i + 1, used, False
     return len(points), used, False
 
 
 @kernel
-def _collect(rows, table, shift, bits, used):
-    """Add voxels to a table, ``shift`` levels coarser, a voxel's edge being 2**bits; return how many it then has."""
-    for i in range(len(rows)):
-        if rows[i, 3] == 0:
-            continue
-        x, y, z = rows[i, 0] >> shift, rows[i, 1] >> shift, rows[i, 2] >> shift
-        slot = _slot(table, _home(table, x, y, z), x, y, z)
-        if table[slot, 3] == 0:
-            used += 1
-        for k in range(3):
-            table[slot, k] = rows[i, k] >> shift
-            aside = (rows[i, k] & 1) << bits if shift else 0
-            table[slot, 4 + k] += rows[i, 4 + k] + rows[i, 3] * aside
-        table[slot, 3] += rows[i, 3]
+def _collect(rows, count, table, shift, bits):
+    """Make voxels ``shift`` levels coarser in place, a voxel's edge being 2**bits, and alike ones one; return how many."""
+    used = 0
+    homes, sums, touched = np.empty(BLOCK, np.int64), np.empty(3, np.int64), np.zeros(1, np.int64)
+    for start in range(0, count, BLOCK):
+        end = min(start + BLOCK, count)
+        for i in range(start, end):
+            homes[i - start] = _home(table, rows[i, 0] >> shift, rows[i, 1] >> shift, rows[i, 2] >> shift)
+        for i in range(start, end):
+            if table[homes[i - start]] >= 0:
+                touched[0] += rows[table[homes[i - start]], 3]
+        for i in range(start, end):
+            number = rows[i, 3]
+            for k in range(3):
+                aside = (rows[i, k] & 1) << bits if shift else 0
+                sums[k] = rows[i, 4 + k] + number * aside
+            x, y, z = rows[i, 0] >> shift, rows[i, 1] >> shift, rows[i, 2] >> shift
+            slot = _slot(table, rows, homes[i - start], x, y, z)
+            row = table[slot]
+            if row < 0:
+                row = table[slot] = used  # at most i, so nothing is overwritten that is still to be read
+                rows[row, 0], rows[row, 1], rows[row, 2] = x, y, z
+                rows[row, 3:7] = 0
+                used += 1
+            rows[row, 3] += number
+            for k in range(3):
+                rows[row, 4 + k] += sums[k]
     return used
+
+
+@kernel
+def _means(rows, order, edge, voxel):
+    """Return the mean of each voxel, ``edge`` being that of a first one."""
+    means = np.empty((len(order), 3))
+    for j in range(len(order)):
+        i = order[j]
+        for k in range(3):
+            within = rows[i, 4 + k] / (rows[i, 3] * 2.0**FIXED_BITS)
+            means[j, k] = rows[i, k] * voxel + within * edge
+    return means
