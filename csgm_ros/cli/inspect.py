@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +14,8 @@ from csgm_ros.cloud.pattern import Pattern, pattern
 from csgm_ros.cloud.plane_fit import fit_planes
 from csgm_ros.cloud.prepare import MIN_POINTS
 from csgm_ros.cloud.surface_variation import even, surface_variation
+from csgm_ros.cloud.survey import survey
+from csgm_ros.cloud.thin import parts_of
 from csgm_ros.config import SupervoxelConfig, parameter_fields, profile
 from csgm_ros.errors import CsgmError, DegenerateCloudError
 from csgm_ros.scale import radius
@@ -36,7 +40,7 @@ class Inspection:
     Attributes
     ----------
     total, not_finite, repeated : int
-        Points.
+        Points; of a large cloud, how many are repeated is estimated.
     extent : (3,) ndarray
     radius, spacing, noise : float
         Largest distance to the centroid; median distances to the nearest neighbour and off the local plane.
@@ -89,26 +93,35 @@ def inspect(points: np.ndarray) -> Inspection:
     DegenerateCloudError
         When all points are in one place.
     """
+    return inspect_parts(parts_of(points), len(points))
+
+
+def inspect_parts(parts: Iterable[np.ndarray], rows: int) -> Inspection:
+    """Look at a cloud of so many rows part by part, as at one larger than memory; else see :func:`inspect`."""
     from scipy.spatial import cKDTree
 
-    finite = points[np.isfinite(points).all(axis=1)].astype(float)
-    distinct = _distinct(finite) if len(finite) else finite
-    if len(distinct) < 2:
+    config = profile()
+    seen = survey(parts, rows, config.preprocess.max_points, config.threads or os.cpu_count() or 1)
+    first = _distinct(seen.places)
+    distinct = seen.places[first]
+    whole = distinct if seen.places is seen.points else seen.points
+    if len(distinct) < 2 or len(whole) < 2:
         raise DegenerateCloudError('all points are in one place; record the cloud again')
-    sample = distinct[np.random.default_rng(0).permutation(len(distinct))[:SAMPLES]]
+    inner_places = distinct[seen.inner[first]]
+    sample = inner_places[np.random.default_rng(0).permutation(len(inner_places))[:SAMPLES]]
     # a tree as quick to build as can be: it is asked some thousand times
     tree = cKDTree(distinct, balanced_tree=False, compact_nodes=False)
     spacings = tree.query(sample, k=2)[0][:, 1]
-    inner = without_extremes(distinct)
+    inner = without_extremes(whole)
     length = radius(inner)
-    found = pattern(distinct, spacings)
+    found = pattern(distinct if seen.drawn is seen.places else seen.drawn, spacings)
     shares, directions = _planes(inner)
     metric, unit = _unit(distinct, length, found)
     return Inspection(
-        total=len(points),
-        not_finite=len(points) - len(finite),
-        repeated=len(finite) - len(distinct),
-        extent=np.ptp(finite, axis=0),
+        total=seen.total,
+        not_finite=seen.total - seen.finite,
+        repeated=round((1.0 - len(distinct) / len(seen.places)) * seen.finite),
+        extent=seen.high - seen.low,
         radius=length,
         spacing=float(np.median(spacings)),
         noise=float(np.median(fit_planes(distinct, 12, sample[:1000]).extents()[:, 0])),
@@ -225,10 +238,10 @@ def _supervoxels(points: np.ndarray, length: float) -> Supervoxels | None:
 
 
 def _distinct(points: np.ndarray) -> np.ndarray:
-    """Return each different point once; rows are told apart by 64 bits of theirs, which is sorted ten times as fast."""
+    """Return where each different point is first; rows are told apart by 64 bits, sorted ten times as fast."""
     bits = np.ascontiguousarray(points + 0.0).view(np.uint64)  # -0.0 is 0.0
     mixed = np.zeros(len(points), np.uint64)
     for column in bits.T:
         mixed = (mixed ^ column) * np.uint64(0x9E3779B97F4A7C15)
         mixed ^= mixed >> np.uint64(32)
-    return points[np.sort(np.unique(mixed, return_index=True)[1])]
+    return np.sort(np.unique(mixed, return_index=True)[1])

@@ -368,15 +368,15 @@ def _demo(options) -> int:
 
 
 def _inspect(options) -> int:
-    from csgm_ros.cli.inspect import description, expectation, inspect
-    from csgm_ros.io.files import check_writable, read_cloud
+    from csgm_ros.cli.inspect import description, expectation, inspect_parts
+    from csgm_ros.io.files import check_writable, point_parts
 
     if options.picture:
         check_writable(options.picture, ('.png',))
     found = []
     for path in options.files:
         try:
-            found.append(inspect(read_cloud(path).points))
+            found.append(inspect_parts(*point_parts(path)))
         except DegenerateCloudError as error:
             raise InputError(f'{error} ({path})') from None
         heading = '' if len(options.files) == 1 else f'{path}\n'

@@ -82,7 +82,7 @@ def thinned(parts: Iterable[np.ndarray], most: int, threads: int = 1) -> np.ndar
 
 
 class _Voxels:
-    """Occupied voxels, side by side in the order in which they are met, and an open-addressing table of their places."""
+    """Occupied voxels side by side, as they are met, and an open-addressing table of their places."""
 
     def __init__(self, edge: float, most: int):
         self._edge, self._most, self._level, self._used = edge, most, 0, 0
@@ -128,7 +128,7 @@ def _table(most: int) -> np.ndarray:
 def _order(keys: np.ndarray) -> np.ndarray:
     """Return the order of (M, 3) integers, row by row."""
     low, high = keys.min(axis=0), keys.max(axis=0)
-    bits = [int(extent).bit_length() for extent in (high - low)]
+    bits = [int(extent).bit_length() for extent in high - low]
     if sum(bits) > 62:
         return np.lexsort(keys.T[::-1])
     x, y, z = (keys - low).T
@@ -217,7 +217,7 @@ def _absorb(points, first, scale, level, table, rows, used):
 
 @kernel
 def _collect(rows, count, table, shift, bits):
-    """Make voxels ``shift`` levels coarser in place, a voxel's edge being 2**bits, and alike ones one; return how many."""
+    """Make voxels ``shift`` levels coarser in place, a voxel's edge being 2**bits; return how many are left."""
     used = 0
     homes, sums, touched = np.empty(BLOCK, np.int64), np.empty(3, np.int64), np.zeros(1, np.int64)
     for start in range(0, count, BLOCK):

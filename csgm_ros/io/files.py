@@ -100,7 +100,7 @@ def read_points(path: str | Path, most: int, threads: int = 1) -> np.ndarray:
     InputError
         As :func:`read_cloud`.
     """
-    parts = _point_parts(_existing(path))
+    parts, _ = point_parts(path)
     held, rows = [], 0
     for part in parts:
         held.append(part)
@@ -114,14 +114,26 @@ def read_points(path: str | Path, most: int, threads: int = 1) -> np.ndarray:
     return points
 
 
-def _point_parts(path: Path) -> Iterator[np.ndarray]:
-    """Yield the points of a file part by part; those of .las on demand too, as colours are not asked for."""
+def point_parts(path: str | Path) -> tuple[Iterator[np.ndarray], int]:
+    """Return the points of a file part by part, each (N, 3), and how many rows there are.
+
+    Those of .npy, .las and binary .ply and .pcd are read on demand.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_cloud`; for what only a part tells, when it is asked for.
+    """
+    path = _existing(path)
     with _named(path):
         module = _module(path)
         found = getattr(module, 'coordinates', module.read)(path)
     if not isinstance(found, Table):
-        yield from parts_of(found.points)
-        return
+        return parts_of(found.points), len(found.points)
+    return _table_parts(path, found), found.rows
+
+
+def _table_parts(path: Path, found: Table) -> Iterator[np.ndarray]:
     for first in range(0, found.rows, PART):
         with _named(path):
             columns = found.part(first, min(first + PART, found.rows))
