@@ -1,5 +1,6 @@
 """The node in mode tracking, over DDS: a real walk with a blocked stretch, and what goes wrong."""
 
+import contextlib
 import threading
 
 import numpy as np
@@ -19,8 +20,9 @@ from tf2_msgs.msg import TFMessage
 
 from csgm_ros.io.pointcloud2 import stamp_of
 from csgm_ros.ros.client.commands import Client
-from csgm_ros.ros.cloud_msgs import cloud_message, header
+from csgm_ros.ros.cloud_msgs import cloud_message, header, transform_message
 from csgm_ros.ros.frames import pose
+from csgm_ros.ros.poses import pose_message
 from csgm_ros.types import Similarity
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
@@ -43,8 +45,28 @@ def tracking():
 
 @pytest.fixture
 def client(tracking):
-    with Client(f'{SPACE}/csgm') as connection:
-        assert connection.configure().success, tracking.log
+    with active(tracking, SPACE) as connection:
+        yield connection
+
+
+@pytest.fixture
+def start():
+    """Start a node with settings of its own in a namespace of its own."""
+    with contextlib.ExitStack() as stack:
+
+        def started(space, *settings):
+            words = [word for setting in ('mode:=tracking', *settings) for word in ('-p', setting)]
+            process = NodeProcess(*words, '-r', f'__ns:={space}')
+            stack.callback(process.close)
+            return stack.enter_context(active(process, space))
+
+        yield started
+
+
+@contextlib.contextmanager
+def active(process, space):
+    with Client(f'{space}/csgm') as connection:
+        assert connection.configure().success, process.log
         assert connection.activate().success
         yield connection
         connection.deactivate()
@@ -52,13 +74,13 @@ def client(tracking):
 
 
 class Walker:
-    """Sends frames of a sequence and keeps what comes back."""
+    """Sends frames of a sequence and keeps what comes back; ``ahead(number, stamp)`` is called before each."""
 
-    def __init__(self, ros, kitchen, client):
-        self._kitchen, self._client = kitchen, client
-        self._map = ros.send(f'{SPACE}/map', cloud_message(header('sfm', 0), kitchen.map))
-        self._frames = ros.publisher(f'{SPACE}/points')
-        self.poses = ros.listen(f'{SPACE}/csgm/pose', PoseWithCovarianceStamped, RELIABLE)
+    def __init__(self, ros, kitchen, client, space=SPACE, ahead=None):
+        self._kitchen, self._client, self._ahead = kitchen, client, ahead
+        self._map = ros.send(f'{space}/map', cloud_message(header('sfm', 0), kitchen.map))
+        self._frames = ros.publisher(f'{space}/points')
+        self.poses = ros.listen(f'{space}/csgm/pose', PoseWithCovarianceStamped, RELIABLE)
         self.tf = ros.listen('/tf', TFMessage, RELIABLE)
         until(self._ready, 'the node to have the map, and to listen reliably')
 
@@ -70,6 +92,8 @@ class Walker:
         """Send a frame and wait until the node has worked on it."""
         before = self._worked_on()
         stamp = int(1e9 * (100 + self._kitchen.stamps[number]))
+        if self._ahead is not None:
+            self._ahead(number, stamp)
         points = self._kitchen.points(number).astype(np.float32)
         points[points[:, 2] == 0] = np.nan  # a covered sensor sends nothing but this
         self._frames.publish(cloud_message(header(SENSOR, stamp), points))
@@ -135,6 +159,70 @@ def test_a_walk_over_dds_is_localised_tracked_blocked_and_found_again(client, ro
     assert client.relocalize().success
     walker.send(140)
     assert walker.status()['state'] != 'tracking'
+
+
+class Robot:
+    """Its wheels tell where the base is in a frame of their own, and the camera is mounted askew."""
+
+    ODOM, BASE = 'walk_odom', 'walk_base'
+    SETTINGS = (f'odom_frame:={ODOM}', f'base_frame:={BASE}', 'transform_tolerance:=0.2')
+
+    def __init__(self, ros, kitchen):
+        self._kitchen = kitchen
+        self.camera_in_base = Similarity.from_quaternion((0.5, -0.5, 0.5, -0.5), (0.2, 0.05, 1.1))
+        self._map_in_odom = Similarity.from_quaternion((0.1, -0.3, 0.2, 0.9), (3.0, -7.0, 0.4))
+        mount = transform_message(header(self.BASE, 0), SENSOR, self.camera_in_base)
+        self._mount = ros.send('/tf_static', TFMessage(transforms=[mount]))
+        self._moving = ros.publisher('/tf', RELIABLE, TFMessage)
+
+    def base_in_map(self, number):
+        """In metres."""
+        truth = Similarity.from_matrix(self._kitchen.truth[number])
+        return Similarity(1.0, truth.rotation, truth.translation / truth.scale) @ self.camera_in_base.inverse()
+
+    def base_in_odom(self, number):
+        return self._map_in_odom @ self.base_in_map(number)
+
+    def move(self, number, stamp):
+        told = transform_message(header(self.ODOM, stamp), self.BASE, self.base_in_odom(number))
+        self._moving.publish(TFMessage(transforms=[told]))
+
+
+def test_odometry_by_tf_gives_map_to_odom_and_the_pose_of_the_base(start, ros, kitchen):
+    robot = Robot(ros, kitchen)
+    walker = Walker(ros, kitchen, start('/robot', *Robot.SETTINGS), '/robot', robot.move)
+    first = walker.send_until_tracking(range(60))
+    sent = range(first, first + 6)
+    for number in sent[1:]:
+        walker.send(number)
+    until(lambda: len(walker.poses) == len(sent), 'a pose of each frame')
+    scale = ros.listen('/robot/csgm/scale', Float64).wait().data
+
+    def right(number, base):
+        return kitchen.right(number, np.diag((scale, scale, scale, 1.0)) @ (base @ robot.camera_in_base).matrix)
+
+    corrections = [t for message in walker.tf for t in message.transforms if t.header.frame_id == 'sfm_metric']
+    assert len(corrections) == len(sent)
+    for number, message, correction in zip(sent, walker.poses, corrections, strict=True):
+        base = Similarity.from_quaternion(*pose(message.pose.pose.orientation, message.pose.pose.position))
+        assert right(number, base)
+        assert correction.child_frame_id == Robot.ODOM
+        assert stamp_of(correction) - stamp_of(message) == 200_000_000  # good until the next one comes
+        odom = Similarity.from_quaternion(*pose(correction.transform.rotation, correction.transform.translation))
+        np.testing.assert_allclose((odom @ robot.base_in_odom(number)).matrix, base.matrix, atol=1e-6)
+
+    # RViz's tool sends the pose of the base: the place is forgotten, and found again near there.
+    later = sent[-1] + 1
+    guess = PoseWithCovarianceStamped(header=header('sfm_metric', 0))
+    guess.pose.pose = pose_message(robot.base_in_map(later))
+    guess.pose.covariance = np.diag((0.05, 0.05, 0.05, 0.02, 0.02, 0.02)).ravel().tolist()
+    publisher = ros.publisher('/robot/initialpose', RELIABLE, PoseWithCovarianceStamped)
+    until(publisher.get_subscription_count, 'the node to listen to poses')
+    publisher.publish(guess)
+    later = next(n for n in range(later, later + 5) if walker.send(n) or walker.status()['state'] != 'tracking')
+    again = walker.send_until_tracking(range(later + 1, later + 12))
+    found = walker.poses[-1].pose.pose
+    assert right(again, Similarity.from_quaternion(*pose(found.orientation, found.position)))
 
 
 def test_frames_faster_than_the_node_are_dropped_and_counted(client, ros, kitchen):
