@@ -157,14 +157,18 @@ ORDER = (
     'matching',
     'supervoxels',
     'esf',
+    'report',
 )
 
 
 def collect() -> None:
-    """Put the sections at hand together in ``RESULTS.md``."""
+    """Put the sections at hand together in ``RESULTS.md``; those that no file of ``results/`` holds stay below."""
     intro = (
         '# Results\n\nMade by the commands below; every run is a line of the CSV file of the same name in `results/`. '
         'Methods, protocols and columns: `README.md`.\n\n'
     )
-    found = [RESULTS / f'{name}.md' for name in ORDER if (RESULTS / f'{name}.md').exists()]
-    (FOLDER / 'RESULTS.md').write_text(intro + '\n'.join(path.read_text() for path in found))
+    made = [(RESULTS / f'{name}.md').read_text() for name in ORDER if (RESULTS / f'{name}.md').exists()]
+    titles, file = {text.partition('\n')[0] for text in made}, FOLDER / 'RESULTS.md'
+    there = ['## ' + part.strip() + '\n' for part in file.read_text().split('\n## ')[1:]] if file.exists() else []
+    kept = [text for text in there if text.partition('\n')[0] not in titles]
+    file.write_text(intro + '\n'.join([*made, *kept]))

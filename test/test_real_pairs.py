@@ -36,6 +36,14 @@ def test_a_real_pair_is_registered(registered, name):
     assert abs(np.log(result.scale / truth.scale)) < 0.06
 
 
+@pytest.mark.parametrize('name', PAIRS)
+def test_the_matches_that_people_are_shown_agree_with_the_answer(registered, name):
+    result = registered(name)[3]
+    assert len(result.matches) > 50
+    assert result.match_inliers.mean() > 0.7
+    assert result.unguided_inliers.mean() < result.match_inliers.mean() - 0.15
+
+
 def test_different_places_are_not_mistaken_for_each_other(registered, monkeypatch):
     monkeypatch.setattr('csgm_ros.registration.schedule', lambda *_: [Attempt()])  # all attempts take long
     source = registered('crop_chair_000')[0]

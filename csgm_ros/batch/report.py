@@ -80,7 +80,7 @@ def _thumbnail(folder: Path, row: Row) -> bool:
     from PIL import Image
 
     from csgm_ros.io.files import CloudFile, read_points
-    from csgm_ros.visual.pictures import FRONT, SOURCE_TINT, TARGET_TINT, draw
+    from csgm_ros.visual.pictures import SOURCE_TINT, TARGET_TINT, draw, turned, upright
 
     path = folder / '_thumbnails' / f'{row["key"]}.png'
     if path.exists():
@@ -94,7 +94,7 @@ def _thumbnail(folder: Path, row: Row) -> bool:
         CloudFile(points, np.tile(tint, (len(points), 1)))
         for points, tint in ((target, TARGET_TINT), (transform.apply(source), SOURCE_TINT))
     ]
-    pixels = (255 * np.clip(draw(clouds, FRONT, SIZE), 0.0, 1.0)).astype(np.uint8)
+    pixels = (255 * np.clip(draw(clouds, turned(upright(target), 28, 22), SIZE), 0.0, 1.0)).astype(np.uint8)
     aside = path.with_suffix('.new')
     Image.fromarray(pixels).save(aside, format='png', optimize=True)
     aside.replace(path)

@@ -245,7 +245,8 @@ def _show(options, result, source, target) -> None:
     if options.picture:
         from csgm_ros.visual.pictures import before_after
 
-        before_after(options.picture, source, target, result.transform, f'{names[0]} on {names[1]}: {result.reason}')
+        said = f'{names[0]} on {names[1]}: {"accepted" if result.accepted else "rejected"}, {result.reason}'
+        before_after(options.picture, source, target, result.transform, said)
 
 
 def _inputs(options) -> dict[str, str]:
@@ -386,7 +387,8 @@ def _inspect(options) -> int:
     if options.picture:
         from csgm_ros.visual.pictures import supervoxels
 
-        supervoxels(options.picture, dict(zip(options.files, (one.supervoxels for one in found), strict=True)))
+        titles = (os.path.basename(path.rstrip('/')) for path in options.files)
+        supervoxels(options.picture, list(zip(titles, (one.supervoxels for one in found), strict=True)))
     return 0
 
 

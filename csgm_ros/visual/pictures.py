@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import colorsys
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from csgm_ros.config import profile
 from csgm_ros.io.atomic import replacing
 from csgm_ros.io.cloud_file import CloudFile
 from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT
 from csgm_ros.types import Similarity, Supervoxels
-from csgm_ros.visual.slices import frame_of, principal_axes, slices
+from csgm_ros.visual.slices import common, frame_of, principal_axes, slices
 
-# Rows: what a view shows to the right, downwards and away from the eye, in the target's optical frame.
-FRONT = np.eye(3)
-TOP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
-SIDE = np.array([[0, 0, 1.0], [0, 1.0, 0], [-1.0, 0, 0]])
 PAPER = np.array([1.0, 1.0, 1.0])
+STRAY = 0.15  # of the extent of all but a few points: what lies farther out does not make the rest smaller
 
 
 def before_after(path: str | Path, source: CloudFile, target: CloudFile, transform: Similarity, caption: str) -> None:
@@ -37,21 +35,23 @@ def before_after(path: str | Path, source: CloudFile, target: CloudFile, transfo
     """
     source, target = finite(source), finite(target)
     moved = CloudFile(transform.apply(source.points), source.colors)
-    tinted = [_tinted(target, TARGET_TINT), _tinted(moved, SOURCE_TINT)]
+    meeting = [_within(cloud, *common(moved.points, target.points)) for cloud in (target, moved)]
+    tinted = [_tinted(meeting[0], TARGET_TINT), _tinted(meeting[1], SOURCE_TINT)]
     title, came = 'before: both as they came, source orange, target blue', source
     frames = frame_of(source.points), frame_of(target.points)
     if not seen_together(frames[1] @ frames[0].inverse()):
-        title = 'before: both, middle and size matched, source orange, target blue'
+        title = 'before: size matched, source orange, target blue'
         came = CloudFile((frames[1].inverse() @ frames[0]).apply(source.points), source.colors)
     raw = [_tinted(target, TARGET_TINT), _tinted(came, SOURCE_TINT)]
-    oblique = turned(FRONT, 28, 22)
+    front = upright(target.points)
+    above, oblique = np.array([front[0], -front[2], front[1]]), turned(front, 28, 22)
     panels = [
-        ('before: the source, in a unit and pose of its own', [source], FRONT),
+        ('before: the source, in a unit and pose of its own', [source], upright(source.points)),
         ('before: the target', [target], oblique),
         (title, raw, oblique),
         ('after: the source on the target', tinted, oblique),
-        ('after, from above', tinted, TOP),
-        ('after, in their own colours', [target, moved], oblique),
+        ('after, from above', tinted, above),
+        ('after, in their own colours', meeting, oblique),
     ]
     drawn = [(title, draw(clouds, view)) for title, clouds, view in panels]
     drawn += [(f'{title}: dark where both are', pixels) for title, pixels in slices(moved.points, target.points)]
@@ -63,24 +63,25 @@ def seen_together(came: Similarity) -> bool:
     return 0.1 < came.scale < 10.0 and float(np.linalg.norm(came.translation)) < 6.0
 
 
-def supervoxels(path: str | Path, clouds: Mapping[str, Supervoxels | None]) -> None:
+def supervoxels(path: str | Path, clouds: Sequence[tuple[str, Supervoxels | None]]) -> None:
     """Draw clouds in the colours of their supervoxels, grey where there is none.
 
     Parameters
     ----------
     path : str or Path
         A .png to write.
-    clouds : mapping of str to Supervoxels or None
-        By title; None where a cloud has too little structure.
+    clouds : sequence of (str, Supervoxels or None)
+        With titles; None where a cloud has too little structure.
     """
     drawn = []
-    for name, cloud in clouds.items():
+    for name, cloud in clouds:
         if cloud is None:
             drawn.append((f'{name}: too little structure', np.ones((430, 560, 3))))
             continue
         hues = palette(max(len(cloud), 1))
         colors = np.where(cloud.voxel_labels[:, None] < 0, 0.8, hues[cloud.voxel_labels])
-        drawn.append((f'{name}: {len(cloud)} supervoxels', draw([_enlarged(cloud.voxel_points, colors)], _view(cloud))))
+        view = turned(principal_axes(cloud.voxel_points), 25, 25)
+        drawn.append((f'{name}: {len(cloud)} supervoxels', draw([_enlarged(cloud.voxel_points, colors)], view)))
     _write(path, drawn, min(len(drawn), 3), 'each colour is a supervoxel, a node of the graph')
 
 
@@ -95,14 +96,10 @@ def palette(count: int) -> np.ndarray:
     )
 
 
-def _view(cloud: Supervoxels) -> np.ndarray:
-    """Look at a cloud of any pose across its longest axes."""
-    return turned(principal_axes(cloud.voxel_points), 25, 25)
-
-
 def _enlarged(points: np.ndarray, colors: np.ndarray) -> CloudFile:
-    """Draw the few points of voxels as large ones."""
-    steps = np.linspace(-0.012, 0.012, 3)
+    """Fill voxels, of a cloud of radius 1, as densely as pixels are."""
+    edge = profile().supervoxels.voxel_size
+    steps = np.linspace(-edge / 2, edge / 2, 5)
     offsets = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
     return CloudFile((points[:, None] + offsets).reshape(-1, 3), np.repeat(colors, len(offsets), axis=0))
 
@@ -152,8 +149,7 @@ def draw(clouds: list[CloudFile], view: np.ndarray, size: tuple[int, int] = (430
     colors = np.concatenate(
         [_tinted(cloud, TARGET_TINT).colors if cloud.colors is None else cloud.colors for cloud in clouds]
     )
-    # Quantiles keep a few far outliers from shrinking everything else.
-    low, high = np.quantile(points, (0.004, 0.996), axis=0)
+    low, high = _span(points)
     height, width = size
     step = max((high[0] - low[0]) / (width - 20), (high[1] - low[1]) / (height - 20), 1e-12)
     pixel = np.round((points[:, :2] - (low[:2] + high[:2]) / 2) / step + (width / 2, height / 2)).astype(int)
@@ -168,9 +164,35 @@ def draw(clouds: list[CloudFile], view: np.ndarray, size: tuple[int, int] = (430
     return image
 
 
+def _span(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners of a box around points, blind to a few far outliers."""
+    low, high = np.quantile(points, (0.004, 0.996), axis=0)
+    slack = STRAY * (high - low)
+    return np.maximum(points.min(axis=0), low - slack), np.minimum(points.max(axis=0), high + slack)
+
+
+def upright(points: np.ndarray) -> np.ndarray:
+    """Return a view of finite points from the front, (3, 3), rows as of :func:`draw`.
+
+    In an optical frame (z ahead, y down, REP-103) it is that of the sensor. A cloud in any other frame is taken to be
+    flat, as places are, and its shortest principal axis to be the vertical, up where z goes up.
+    """
+    middle, ahead = np.median(points, axis=0), points[:, 2] > 0
+    if ahead.mean() > 0.99 and np.linalg.norm(middle) * frame_of(points).scale > 1.0:
+        return np.eye(3)
+    right, _, up = principal_axes(points)
+    up = up * (np.sign(up[2]) or 1.0)
+    return np.array([right, -up, np.cross(right, -up)])
+
+
 def finite(cloud: CloudFile) -> CloudFile:
     """Return a cloud without the rows that are not finite, and without normals."""
     keep = np.isfinite(cloud.points).all(axis=1)
+    return CloudFile(cloud.points[keep], None if cloud.colors is None else cloud.colors[keep])
+
+
+def _within(cloud: CloudFile, low: np.ndarray, high: np.ndarray) -> CloudFile:
+    keep = ((cloud.points >= low) & (cloud.points <= high)).all(axis=1)
     return CloudFile(cloud.points[keep], None if cloud.colors is None else cloud.colors[keep])
 
 

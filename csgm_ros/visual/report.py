@@ -15,7 +15,7 @@ from csgm_ros.io.files import CloudFile
 from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT, matrix_text
 from csgm_ros.types import Similarity, Term, rotation_angle
 from csgm_ros.visual import charts
-from csgm_ros.visual.pictures import FRONT, draw, palette, turned
+from csgm_ros.visual.pictures import draw, palette, turned, upright
 from csgm_ros.visual.report_data import ReportData
 from csgm_ros.visual.scene import COLORS, REACH, SHOWN, Shown, distances, scene
 from csgm_ros.visual.slices import slices
@@ -171,7 +171,7 @@ def _apart(data: ReportData, transform: Similarity) -> tuple[str, str]:
 
 def _segmentations(data: ReportData, shown: tuple[Shown, Shown]) -> str:
     assert data.segmentations is not None
-    figures = []
+    figures, view = [], turned(upright(shown[1].points), 28, 22)
     for name, cloud, segmentation in zip(('source', 'target'), shown, data.segmentations, strict=True):
         assert cloud.labels is not None
         few = slice(0, DRAWN)
@@ -179,7 +179,7 @@ def _segmentations(data: ReportData, shown: tuple[Shown, Shown]) -> str:
             (cloud.labels[few] < 0)[:, None], 0.8, palette(COLORS)[np.maximum(cloud.labels[few], 0) % COLORS]
         )
         moved = data.poses[0].transform.apply(cloud.points[few]) if name == 'source' else cloud.points[few]
-        pixels = draw([CloudFile(moved, colors)], turned(FRONT, 28, 22))
+        pixels = draw([CloudFile(moved, colors)], view)
         figures.append(_figure(charts.png(pixels), f'{name}: {segmentation.labels.max(initial=-1) + 1} supervoxels'))
     note = 'Both as seen from the same side under the answer.'
     return _section('supervoxels', 'Supervoxels', f'<div class="row">{"".join(figures)}</div>', note)

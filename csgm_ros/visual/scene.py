@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 from csgm_ros.cloud.prepare import normals_of
 from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT
 from csgm_ros.types import Similarity
-from csgm_ros.visual.pictures import FRONT, palette, seen_together, turned
+from csgm_ros.visual.pictures import palette, seen_together, turned, upright
 from csgm_ros.visual.report_data import ReportData, Segmentation
-from csgm_ros.visual.slices import frame_of, principal_axes
+from csgm_ros.visual.slices import common, frame_of, principal_axes
 
 SHOWN = 200_000  # points of a cloud at most
 LEVELS = 8  # each holds as many points as all before it, evenly spread
@@ -204,7 +204,7 @@ def _poses(data: ReportData, source: Shown, target: Shown, arrays: Arrays) -> tu
         )
         name = f'competing hypothesis {rank}'
         if rank == 0:
-            name = 'registered: the answer' if data.accepted else 'best estimate, which was rejected'
+            name = 'registered: the answer' if data.accepted else 'best found, but rejected'
         made = _pose(name, said, to_view @ pose.transform @ from_local)
         forth = distances(source, target, pose.transform, reach)
         back = distances(target, source, pose.transform.inverse(), reach / pose.transform.scale)
@@ -248,14 +248,12 @@ def _axes(points: np.ndarray) -> np.ndarray:
 
 def _views(data: ReportData, source: Shown, target: Shown, axes: np.ndarray) -> dict:
     """Return where to look from: right and down of the screen, the middle, and the distance."""
-    both = target.points, data.poses[0].transform.apply(source.points)
-    points = target.frame.apply(np.concatenate([cloud[:20_000] for cloud in both]))
-    points = points[(np.abs(points) < 2.0).all(axis=1)]
-    ahead = target.points[:, 2] > 0
-    seen_from_origin = ahead.mean() > 0.99 and np.linalg.norm(target.frame.translation) > 1.0
-    # an optical frame (z ahead, y down, REP-103) is looked at from the sensor's side; else from above
-    start = turned(FRONT, 28, 22) if seen_from_origin else turned(np.array([axes[0], -axes[2], axes[1]]), 25, 35)
-    views = {'start': start}
+    moved = data.poses[0].transform.apply(source.points[:20_000])
+    both = [target.frame.apply(cloud) for cloud in (target.points[:20_000], moved)]
+    points = np.concatenate(both)
+    low, high = common(*both)
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    views = {'start': turned(upright(target.points), 28, 28)}
     for k in range(3):
         right, down = axes[(k + 1) % 3], -axes[(k + 2) % 3]
         if k < 2:  # keep the third axis upwards

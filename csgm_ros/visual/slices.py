@@ -8,6 +8,7 @@ from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT
 from csgm_ros.types import Similarity
 
 HALF = 0.015  # half the thickness, in radii
+AROUND = 0.5  # of the longest side of the box where both clouds are, shown around it
 PLACES = np.linspace(0.1, 0.9, 17)  # quantiles of the overlap along an axis at which a slice is tried
 
 
@@ -30,12 +31,29 @@ def slices(source: np.ndarray, target: np.ndarray, size: tuple[int, int] = (430,
     clouds = [frame.apply(cloud) for cloud in (source, target)]
     clouds = [cloud[(np.abs(cloud) < 1.6).all(axis=1)] for cloud in clouds]
     axes = principal_axes(clouds[1])
-    made = []
+    made, place = [], common(*clouds)
+    clouds = [cloud[((cloud > place[0]) & (cloud < place[1])).all(axis=1)] for cloud in clouds]
     for k in range(3):
         flat = [(axes[(k + 1) % 3], axes[(k + 2) % 3]), (axes[0], axes[2]), (axes[0], axes[1])][k]
         cuts = [_cut(clouds, axes[k], flat, place) for place in _places(clouds, axes[k])]
         made.append((f'slice across axis {k + 1}', _drawn(_most_outline(cuts), size)))
     return made
+
+
+def common(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners of the box where both of two clouds are, half as large again towards every side.
+
+    What is looked at there shows how they lie on each other even where one is much larger. Where they do not meet, it
+    is all of both.
+    """
+    corners = [np.quantile(cloud, (0.002, 0.998), axis=0) for cloud in (first, second) if len(cloud)]
+    if not corners:
+        return np.full(3, -np.inf), np.full(3, np.inf)
+    low, high = np.max([c[0] for c in corners], axis=0), np.min([c[1] for c in corners], axis=0)
+    if (low >= high).any():
+        return np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
+    margin = AROUND * (high - low).max()
+    return low - margin, high + margin
 
 
 def frame_of(points: np.ndarray) -> Similarity:

@@ -4,7 +4,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
 
+from csgm_ros.matching import match_graphs
 from csgm_ros.matching.guided import WIDTHS, match_guided
 from csgm_ros.types import MatchedGraphs, Matching, StructureGraph
 
@@ -45,6 +48,25 @@ def test_places_are_paired_though_the_descriptors_tell_nothing():
         right += (truth[found[:, 0]] == found[:, 1]).tolist()
         assert len(found) > 30
     assert np.mean(right) > 0.85
+
+
+def test_only_the_right_transform_makes_matches_agree():
+    turn = Rotation.from_euler('xyz', (40, 70, 20), degrees=True).as_matrix()
+    shares = []
+    for seed in range(5):
+        graphs, _ = planted(np.random.default_rng(seed))
+        right = gaps(graphs.source, graphs.target)
+        middle = graphs.source.nodes.mean(axis=0)
+        wrong = cdist((graphs.source.nodes - middle) @ turn.T + middle, graphs.target.nodes)
+        edge = graphs.edge_affinity
+        unguided = match_graphs(graphs.node_affinity, edge, graphs.source.edges, graphs.target.edges).pairs
+        shown, turned = match_guided(graphs, right, WIDTH), match_guided(graphs, wrong, WIDTH)
+        agree = [(right[tuple(found.T)] < WIDTH).mean() for found in (shown, unguided)]
+        shares.append([*agree, (wrong[tuple(turned.T)] < WIDTH).sum() / len(shown)])
+    guided, unguided, turned = np.mean(shares, axis=0)
+    assert guided > 0.9
+    assert unguided < 0.5
+    assert turned < 0.5
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 12))

@@ -3,16 +3,16 @@
 import base64
 import dataclasses
 import gzip
-import io
 import re
-import shutil
-import tempfile
-import time
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from benchmarks.browser import chromium, missing, opened, settled
 from csgm_ros.config import flatten, profile
 from csgm_ros.demo.simulation import simulate
 from csgm_ros.io.files import CloudFile
@@ -21,12 +21,6 @@ from csgm_ros.visual.report import would_have_changed, write_report
 from csgm_ros.visual.report_data import ReportData, Segmentation
 from csgm_ros.visual.scene import scene
 from csgm_ros.visual.slices import slices
-
-FLAGS = (
-    *('--headless', '--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run', '--disable-sync'),
-    *('--disable-background-networking', '--disable-component-update', '--disable-dev-shm-usage'),
-    *('--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--window-size=1300,1000'),
-)
 
 
 @pytest.fixture(scope='module')
@@ -138,41 +132,11 @@ def test_slices_are_darker_where_the_transform_is_right(made):
 
 @pytest.fixture(scope='module')
 def browser():
-    """A headless Chromium from the distribution's packages."""
-    selenium = pytest.importorskip('selenium.webdriver')
-    programs = [shutil.which(name) for name in ('chromium', 'chromedriver')]
-    if None in programs:
-        pytest.skip('chromium and chromium-driver are not installed')
-    options = selenium.ChromeOptions()
-    options.binary_location = programs[0]
-    options.set_capability('goog:loggingPrefs', {'browser': 'ALL'})
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile_folder:
-        for flag in (*FLAGS, f'--user-data-dir={profile_folder}'):
-            options.add_argument(flag)
-        driver = selenium.Chrome(options, selenium.ChromeService(programs[1]))
-        yield driver
-        driver.quit()
-
-
-def opened(browser, path):
-    """Load a page and wait for its 3-D view."""
-    browser.get(f'file://{path}')
-    end = time.monotonic() + 60
-    while not browser.execute_script('return Boolean(window.csgm)'):
-        assert time.monotonic() < end, browser.get_log('browser')
-        time.sleep(0.1)
-    assert browser.execute_script('return csgm.failed || null') is None
-    return settled(browser)
-
-
-def settled(browser):
-    """Wait until nothing moves; return the pixels of the view."""
-    end = time.monotonic() + 60
-    while browser.execute_script('return csgm.view.running'):
-        assert time.monotonic() < end
-        time.sleep(0.1)
-    text = browser.execute_script('return document.getElementById("view").toDataURL("image/png")')
-    return np.asarray(Image.open(io.BytesIO(base64.b64decode(text.split(',')[1]))).convert('RGB')).astype(int)
+    pytest.importorskip('selenium.webdriver')
+    if missing():
+        pytest.skip(f'not installed: {", ".join(missing())}')
+    with chromium() as running:
+        yield running
 
 
 def click(browser, selector):
