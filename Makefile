@@ -54,7 +54,7 @@ bench: $(READY)
 	@set -e; for script in $$(grep -l __main__ $(BENCH)/*.py); do echo "== $$script"; $(PY) "$$script" $(ARGS); done
 
 soak: $(READY)
-	@cd test && ROS_DOMAIN_ID=20 $(abspath $(PY)) -m ros_helpers.soak $(ARGS)
+	@cd test && ROS_DOMAIN_ID=99 $(abspath $(PY)) -m ros_helpers.soak $(ARGS)
 
 licences: $(READY)
 	@$(PY) .ci/licences.py $(ARGS)

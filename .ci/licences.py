@@ -11,6 +11,10 @@ from importlib.metadata import Distribution, PackageNotFoundError, distribution,
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+TEXTS = {  # what only the text of that licence says
+    'Apache-2.0': ('Apache License', 'Version 2.0, January 2004'),
+    'MIT': ('Permission is hereby granted, free of charge, to any person obtaining a copy', 'THE SOFTWARE IS PROVIDED'),
+}
 BUNDLED = sorted((ROOT / 'csgm_ros').rglob('LICENSE'))  # what others wrote and this repository carries
 
 
@@ -27,8 +31,19 @@ def licence(package: Distribution) -> str:
     manifest = Path(sys.prefix, 'share', re.sub('^ros-(jazzy-)?', '', package.name).replace('-', '_'), 'package.xml')
     if manifest.is_file():  # the wheels of ROS packages state it there alone
         classified += [element.text for element in ElementTree.parse(manifest).iter('license')]
-    stated = facts.get('License-Expression') or ', '.join(classified) or facts.get('License') or 'not stated'
-    return stated.strip().splitlines()[0][:80]
+    stated = facts.get('License-Expression') or ', '.join(classified) or facts.get('License')
+    return (stated or from_text(package)).strip().splitlines()[0][:80]
+
+
+def from_text(package: Distribution) -> str:
+    """Return which licence a package ships that names none."""
+    for name in package.metadata.get_all('License-File', []):
+        text = package.read_text(f'licenses/{name}') or package.read_text(name) or ''
+        text = ' '.join(text.split())
+        for known, phrases in TEXTS.items():
+            if all(phrase in text for phrase in phrases):
+                return known
+    return 'not stated'
 
 
 def main() -> None:

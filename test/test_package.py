@@ -125,3 +125,9 @@ def test_the_license_is_whole():
     text = (ROOT / 'LICENSE').read_text()
     assert 'Apache License' in text
     assert 'END OF TERMS AND CONDITIONS' in text
+
+
+def test_the_licence_of_everything_that_is_installed_is_known():
+    run = subprocess.run([sys.executable, ROOT / '.ci' / 'licences.py'], capture_output=True, text=True, check=True)
+    assert 'numpy' in run.stdout
+    assert 'not stated' not in run.stdout

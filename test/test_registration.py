@@ -16,6 +16,8 @@ from csgm_ros import profile, register
 from csgm_ros.attempts import Attempt, best_of
 from csgm_ros.config import replaced
 from csgm_ros.errors import Cancelled, DegenerateCloudError, InputError
+from csgm_ros.io.cloud_file import CloudFile
+from csgm_ros.io.results import fused
 from csgm_ros.progress import STAGES
 from csgm_ros.registration import warm_up
 from csgm_ros.types import Prior, Similarity
@@ -148,6 +150,22 @@ def test_pose_and_unit_of_either_cloud_do_not_matter(side):
     back = result.transform @ pose if side == 'source' else pose.inverse() @ result.transform
     assert result.accepted == registered().accepted
     assert error(back, registered().transform, SOURCE) < SAME
+
+
+def test_map_coordinates_change_neither_the_verdict_nor_the_transform():
+    """UTM: a double there is good to a nanometre, a float to half a metre."""
+    first, second = (
+        Similarity(1.0, np.eye(3), np.array(place)) for place in ((5e5, 4e6, 120.0), (665e3, 5.648e6, 300.0))
+    )
+    source = first.apply(SOURCE)
+    result = register(source, second.apply(TRUTH.apply(TARGET)))
+    back = second.inverse() @ result.transform @ first
+    assert result.accepted
+    assert result.verdict.margin == pytest.approx(registered().verdict.margin, rel=1e-6)
+    assert np.abs(back.apply(SOURCE) - registered().transform.apply(SOURCE)).max() < 1e-6
+    joined = fused(CloudFile(source, None), CloudFile(second.apply(TARGET), None), result.transform)
+    moved = second.inverse().apply(joined.points[len(TARGET) :])
+    assert np.abs(moved - registered().transform.apply(SOURCE)).max() < 1e-6
 
 
 def test_the_order_of_the_points_does_not_matter():

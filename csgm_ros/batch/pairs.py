@@ -7,15 +7,17 @@ import hashlib
 import itertools
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from csgm_ros.config import Config, flatten, profile
+from csgm_ros.config import Config, NodeConfig, flatten, profile
 from csgm_ros.errors import CsgmError, InputError
 from csgm_ros.io.config_files import assignment
 from csgm_ros.io.formats import format_of
+from csgm_ros.io.transforms import read_result, similarity_of
+from csgm_ros.types import Prior
 
-COLUMNS = ('source', 'target', 'id', 'seed', 'parameters')
+COLUMNS = ('source', 'target', 'id', 'seed', 'parameters', 'initial', 'initial_sigma')
 NEUTRAL = ('threads',)  # parameters on which the result does not depend
 
 
@@ -34,6 +36,9 @@ class Pair:
     changes : tuple of (str, value)
         Parameters that differ from the profile, dotted names in order.
     seed : int
+    initial, initial_sigma : tuple of float
+        Where the transform is expected, 16 numbers row by row, and how well, as :class:`csgm_ros.types.Prior` has it;
+        empty where nothing is.
     """
 
     id: str
@@ -42,6 +47,16 @@ class Pair:
     profile: str
     changes: tuple[tuple[str, object], ...]
     seed: int
+    initial: tuple[float, ...] = ()
+    initial_sigma: tuple[float, ...] = ()
+
+    @property
+    def prior(self) -> Prior | None:
+        """Where the transform is expected."""
+        if not self.initial:
+            return None
+        place, angle, scale = self.initial_sigma
+        return Prior(similarity_of(self.initial), (place, angle, scale))
 
     @property
     def parameters_hash(self) -> str:
@@ -50,8 +65,9 @@ class Pair:
 
     @property
     def key(self) -> str:
-        """What tells two registrations apart: another id, file, parameter or seed is another registration."""
-        return _hash([self.id, self.source, self.target, self.parameters_hash, self.seed])
+        """What tells two registrations apart: another id, file, parameter, seed or guess is another registration."""
+        guess = [self.initial, self.initial_sigma] if self.initial else []
+        return _hash([self.id, self.source, self.target, self.parameters_hash, self.seed, *guess])
 
 
 def from_table(path: str | Path, config: Config, seed: int = 0) -> list[Pair]:
@@ -60,8 +76,10 @@ def from_table(path: str | Path, config: Config, seed: int = 0) -> list[Pair]:
     Parameters
     ----------
     path : str or Path
-        With the columns `source` and `target` (relative to the file's folder), and optionally `id`, `seed` and
-        `parameters` (``name=value`` items between semicolons, made to ``config``).
+        With the columns `source` and `target` (relative to the file's folder), and optionally `id`, `seed`,
+        `parameters` (``name=value`` items between semicolons, made to ``config``), `initial` (where the transform is
+        expected: 16 numbers between blanks, row by row, or a result file, relative to the file's folder) and
+        `initial_sigma` (place, degrees, relative scale between blanks).
     config : Config
     seed : int, optional
         Of pairs without one of their own.
@@ -149,7 +167,33 @@ def _from_row(row: dict, folder: Path, config: Config, seed: int) -> Pair:
             raise InputError(f'seed {row["seed"]!r} is no non-negative whole number')
         seed = int(row['seed'])
     name = row.get('id') or f'{row["source"]}--{row["target"]}'
-    return _pair(name, folder / row['source'], folder / row['target'], config, seed)
+    initial, sigma = _guess(row.get('initial', ''), row.get('initial_sigma', ''), folder)
+    pair = _pair(name, folder / row['source'], folder / row['target'], config, seed)
+    return replace(pair, initial=initial, initial_sigma=sigma)
+
+
+def _guess(initial: str, sigma: str, folder: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return what the columns `initial` and `initial_sigma` say."""
+    if not initial:
+        if sigma:
+            raise InputError('initial_sigma needs initial, which says what is that uncertain')
+        return (), ()
+    try:
+        numbers = [float(word) for word in initial.split()]
+    except ValueError:
+        transform = read_result(folder / initial)[0]
+    else:
+        try:
+            transform = similarity_of(numbers)
+        except ValueError:
+            raise InputError(f'initial {initial!r} is no similarity; give 16 numbers, row by row, or a file') from None
+    try:
+        place, angle, scale = map(float, sigma.split()) if sigma else NodeConfig().initial_sigma
+    except ValueError:
+        raise InputError(f'initial_sigma {sigma!r}: give place, degrees and relative scale between blanks') from None
+    if not min(place, angle, scale) >= 0.0:
+        raise InputError(f'initial_sigma {sigma!r}: none may be below 0')
+    return tuple(transform.matrix.ravel().tolist()), (place, angle, scale)
 
 
 def _pair(name: str, source: Path, target: Path, config: Config, seed: int) -> Pair:

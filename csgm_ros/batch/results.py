@@ -44,6 +44,8 @@ def schema():
             ('seconds', number),
             ('read_seconds', number),
             ('seed', pa.int64()),
+            ('initial', pa.list_(number, 16)),  # where the transform was expected, null where nowhere
+            ('initial_sigma', vector),
             ('profile', text),
             ('parameters', text),  # those that differ from the profile, JSON
             ('parameters_hash', text),

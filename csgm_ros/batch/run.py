@@ -25,7 +25,16 @@ GONE = OSError, asyncio.CancelledError, concurrent.futures.CancelledError
 LOST = 'the scheduler is lost; what is done is kept: start it and run again'
 
 
-def run(pairs: Sequence[Pair], results: Results, client, *, threads: int = 1, retries: int = 2, stream=None) -> dict:
+def run(
+    pairs: Sequence[Pair],
+    results: Results,
+    client,
+    *,
+    threads: int = 1,
+    retries: int = 2,
+    pages: str = '',
+    stream=None,
+) -> dict:
     """Register the pairs that have no row yet, each of them once.
 
     Parameters
@@ -39,6 +48,8 @@ def run(pairs: Sequence[Pair], results: Results, client, *, threads: int = 1, re
     retries : int, optional
         How often a pair that raises what is no :class:`csgm_ros.errors.CsgmError` is tried again. One that kills its
         worker is tried again as often as the scheduler allows (`distributed.scheduler.allowed-failures`).
+    pages : str, optional
+        Folder, as the workers see it, for a page of each pair; default: none is written.
     stream : file, optional
         For progress; default: stderr.
 
@@ -68,7 +79,7 @@ def run(pairs: Sequence[Pair], results: Results, client, *, threads: int = 1, re
                 most = max(OUTSTANDING, 2 * sum(client.nthreads().values()))
                 for number, pair in itertools.islice(waiting, max(0, most - len(going))):
                     how = {'key': f'register-{pair.key}', 'priority': -number, 'retries': retries}  # in their order
-                    future = client.submit(register_pair, pair, threads, **how)
+                    future = client.submit(register_pair, pair, threads, pages, **how)
                     going[future.key] = pair
                     queue.add(future)
 

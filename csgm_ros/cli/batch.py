@@ -10,7 +10,7 @@ from csgm_ros.errors import InputError
 
 EPILOG = """\
 examples:
-  csgm batch pairs.csv -o results/                         the pairs of a table: source,target[,id,seed,parameters]
+  csgm batch pairs.csv -o results/                         the pairs of a table: source,target[,id,seed,...]
   csgm batch scenes/ --source '*/sfm.ply' --target '*/kinect.ply' -o results/
   csgm batch --all-pairs scans/ -o results/ --scheduler tcp://head:8786
   csgm batch report results/                               results/report.html
@@ -52,6 +52,7 @@ def _run_parser() -> argparse.ArgumentParser:
     parser.add_argument('--scheduler', metavar='ADDRESS', help='of a Dask cluster, or its scheduler file')
     parser.add_argument('--workers', type=_count, default=0, metavar='N', help='default: one a core, memory allowing')
     parser.add_argument('--threads', type=_count, default=0, metavar='N', help='a pair; default: shared cores')
+    parser.add_argument('--reports', action='store_true', help='write a page of each pair to RESULTS/reports')
     parser.add_argument('--retries', type=_count, default=2, metavar='N', help='of a pair that kills its worker')
     parser.add_argument('--retry-failed', action='store_true', help='try pairs again that failed in an earlier run')
     return parser
@@ -105,10 +106,17 @@ def _run(options) -> int:
             print(f'csgm: {slots} workers, dashboard {dashboard}', file=sys.stderr)
             if not slots:
                 print('csgm: the scheduler has no workers yet; waiting for them', file=sys.stderr)
-            counts = run(pairs, results, client, threads=threads, retries=options.retries)
+            pages = _pages(options.output) if options.reports else ''
+            counts = run(pairs, results, client, threads=threads, retries=options.retries, pages=pages)
     said = ', '.join(f'{counts[kind]} {kind}' for kind in ('accepted', 'rejected', 'failed'))
     print(f'{options.output}: {len(pairs)} pairs ({said}; {counts["earlier"]} done earlier)')
     return 0
+
+
+def _pages(results: str) -> str:
+    folder = Path(results, 'reports').absolute()
+    folder.mkdir(exist_ok=True)
+    return str(folder)
 
 
 def _report(options) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,25 @@ def matrix_text(matrix: np.ndarray) -> str:
     return '\n'.join(
         '  ' + ' '.join(text.rjust(width) for text, width in zip(row, widths, strict=True)) for row in rows
     )
+
+
+def similarity_of(matrix: Any) -> Similarity:
+    """Return a 4x4 matrix, or its 16 numbers row by row, as the similarity that it is.
+
+    Raises
+    ------
+    ValueError
+        When it is none.
+    """
+    matrix = np.array(matrix, float)
+    matrix = matrix.reshape(4, 4) if matrix.shape == (16,) else matrix
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+        raise ValueError('no similarity')
+    transform = Similarity.from_matrix(matrix)
+    turned = transform.rotation @ transform.rotation.T
+    if not transform.scale > 0.0 or np.abs(turned - np.eye(3)).max() > 1e-6:
+        raise ValueError('no similarity')
+    return transform
 
 
 def read_result(path: str | Path) -> tuple[Similarity, bool]:
@@ -40,13 +60,7 @@ def read_result(path: str | Path) -> tuple[Similarity, bool]:
         if path.stat().st_size > MAX_RESULT:
             raise ValueError
         values = json.loads(path.read_text(encoding='utf-8'))
-        matrix = np.array(values['T_target_source'], float)
-        if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-            raise ValueError
-        transform = Similarity.from_matrix(matrix)
-        turned = transform.rotation @ transform.rotation.T
-        if not transform.scale > 0.0 or np.abs(turned - np.eye(3)).max() > 1e-6:
-            raise ValueError
+        transform = similarity_of(values['T_target_source'])
     except OSError as error:
         raise InputError(f'{path}: cannot be read ({error.strerror}); check the path') from None
     except (ValueError, KeyError, TypeError, RecursionError, np.linalg.LinAlgError):

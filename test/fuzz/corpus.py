@@ -85,12 +85,52 @@ def text_files() -> list[bytes]:
 
 
 def depth_images() -> list[bytes]:
-    """One small depth image of millimetres."""
-    from PIL import Image
+    """Depth images of millimetres: a ramp, and a larger one with gaps, in several chunks and with a text."""
+    from PIL import Image, PngImagePlugin
 
+    rows, columns = np.mgrid[:48, :64]
+    bent = (1500 + 40 * np.abs(columns - 32) + rows % 7 + (rows * columns) % 5).astype(np.uint16)
+    bent[rows % 11 == 0] = 0
+    info = PngImagePlugin.PngInfo()
+    info.add_text('unit', 'mm')
+    return [
+        _png(Image.fromarray(np.arange(48, dtype=np.uint16).reshape(6, 8) * 40)),
+        _png(Image.fromarray(bent), pnginfo=info, optimize=True, dpi=(72, 72)),
+    ]
+
+
+def _png(image, **options) -> bytes:
     made = io.BytesIO()
-    Image.fromarray(np.arange(48, dtype=np.uint16).reshape(6, 8) * 40).save(made, 'png')
-    return [made.getvalue()]
+    image.save(made, 'png', **options)
+    return made.getvalue()
+
+
+def meshes() -> dict[str, list[bytes]]:
+    """Meshes of every kind: plain, coloured, in parts, with what else tools write into them, and bare points."""
+    import trimesh
+
+    box, colored = trimesh.creation.box((1, 2, 3)), trimesh.creation.box((2, 1, 1))
+    colored.visual.vertex_colors = np.column_stack([np.arange(24).reshape(8, 3), np.full(8, 255)]).astype(np.uint8)
+    scene = trimesh.Scene([colored])
+    scene.add_geometry(box, transform=trimesh.transformations.rotation_matrix(0.5, (0, 0, 1), (1, 2, 3)))
+    bare = trimesh.Scene([trimesh.PointCloud(POINTS, np.full((len(POINTS), 4), 200, np.uint8))])
+    corners = '\n'.join('v {:.3f} {:.3f} {:.3f}'.format(*row) for row in SHORT)
+    fine = '\n'.join('v {:.3f} {:.3f} {:.3f} 0.1 0.5 1.0'.format(*row) for row in SHORT)
+    odd = (
+        f'# made\nmtllib none.mtl\no one\ng a b\n{fine}\nvt 0 1\nvn 0 0 1\nusemtl m\ns 1\n'
+        'f 1/1/1 2/1/1 3/1/1 4/1/1\nf -1//1 -2//1 -3//1\nl 1 2\np 3\n'
+    )
+    export = trimesh.exchange.export.export_mesh
+    made = {kind: [export(box, None, kind)] for kind in ('stl', 'obj', 'off', 'glb')}
+    made['stl'].append(export(box, None, 'stl_ascii'))
+    made['obj'] += [odd, corners, odd.replace('\n', '\r\n')]
+    made['off'].append(f'OFF\n# a comment\n12 2 0\n{corners.replace("v ", "")}\n3 0 1 2\n4 3 4 5 6 255 0 0\n')
+    made['glb'] += [trimesh.exchange.gltf.export_glb(each) for each in (scene, bare)]
+    made['gltf'] = [
+        trimesh.exchange.gltf.export_gltf(each, merge_buffers=True, embed_buffers=True)['model.gltf']
+        for each in (scene, bare)
+    ]
+    return {f'cloud.{kind}': found for kind, found in made.items()}
 
 
 def colmap_models() -> list[bytes]:
@@ -172,7 +212,8 @@ def _files(folder: Path) -> dict[str, list[bytes]]:
         **{name: [text] for name, text in CAMERAS.items()},
         'points3D.bin': colmap_models(),
         'points3D.txt': [b'# 3D points\n' + b''.join(b'%d 1.5 2 %d 1 2 3 0.5 1 2 3 4\n' % (i, i) for i in range(12))],
-        **{f'cloud.{kind}': [] for kind in ('npy', 'npz', 'las', 'laz', 'stl', 'obj', 'glb')},
+        **{f'cloud.{kind}': [] for kind in ('npy', 'npz', 'las', 'laz')},
+        **meshes(),
     }
     for kind in ('ply', 'pcd', 'xyz', 'npy', 'npz', 'las', 'laz'):
         for colors, normals in ((None, None), (COLORS, NORMALS)):
@@ -182,17 +223,7 @@ def _files(folder: Path) -> dict[str, list[bytes]]:
     seeds['cloud.npz'].append((folder / 'plain.npz').read_bytes())
     np.save(folder / 'frame.npy', np.asfortranarray(POINTS.reshape(4, 10, 3), 'f4'))
     seeds['cloud.npy'].append((folder / 'frame.npy').read_bytes())
-    import trimesh
-
-    box = trimesh.creation.box((1, 2, 3))
-    for kind in ('stl', 'obj', 'glb'):
-        seeds[f'cloud.{kind}'].append(trimesh.exchange.export.export_mesh(box, None, kind))
-    seeds['cloud.stl'].append(trimesh.exchange.export.export_mesh(box, None, 'stl_ascii'))
-    return {
-        name: [each.encode() if isinstance(each, str) else each for each in found]
-        for name, found in seeds.items()
-        if found
-    }
+    return {name: [each.encode() if isinstance(each, str) else each for each in found] for name, found in seeds.items()}
 
 
 def sealed(kind: str, data: bytes) -> bytes:
@@ -237,9 +268,9 @@ SEALS = {'cloud.e57': _sealed_pages, 'depth.png': _sealed_chunks}
 
 
 def bag(folder: Path, storage: str) -> dict[str, bytes]:
-    """Return the files of a bag of one source and two target clouds."""
+    """Return the files of a bag of one coloured source and two target clouds."""
     clouds = [
-        ('/source', Cloud(POINTS, None, 'a', 10**18)),
+        ('/source', Cloud(POINTS, np.rint(255 * COLORS).astype(np.uint8), 'a', 10**18)),
         *(('/target', Cloud(POINTS, None, 'b', 10**18 + i)) for i in range(2)),
     ]
     bags.write_clouds(folder / storage, clouds, storage=storage)

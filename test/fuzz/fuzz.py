@@ -24,7 +24,7 @@ from csgm_ros.io.files import read_cloud
 from fuzz import corpus
 from fuzz.mutate import mutated
 
-SAMPLED = ('stl', 'obj', 'glb')  # meshes, whose points are not those of the file
+SAMPLED = ('stl', 'obj', 'glb', 'gltf', 'off')  # meshes, whose points are not those of the file
 MEMORY = 6 << 30  # bytes of address space
 SLOW = 5.0  # seconds of CPU that no input of a few kB may take
 HANGS = 60  # seconds

@@ -1,5 +1,6 @@
 """Inputs after public reports of other people: each is right, or refused for the reason that it has."""
 
+import json
 import shutil
 
 import numpy as np
@@ -71,6 +72,28 @@ def test_geographic_coordinates_survive_to_the_output(cases, tmp_path, suffix):
     assert np.abs(written - target.points).max() <= 1e-6
     printed = np.array([line.split() for line in matrix_text(truth.matrix).splitlines()], float)
     np.testing.assert_array_equal(printed, truth.matrix)
+
+
+def test_geographic_clouds_register_and_what_is_printed_and_written_is_the_result(cases, tmp_path, capsys):
+    files = [str(cases / f'{name}.ply') for name in ('ecef_source', 'utm_target')]
+    outputs = ['--json', str(tmp_path / 'r.json'), '--output', str(tmp_path / 'fused.ply')]
+    assert main(['register', *files, *outputs]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    first = next(number for number, line in enumerate(lines) if 'T_target_source' in line) + 1
+    printed = np.array([line.split() for line in lines[first : first + 4]], float)
+    source, target = map(read_cloud, files)
+    written = np.array(json.loads((tmp_path / 'r.json').read_text())['T_target_source'])
+    moved = (Similarity.from_matrix(matrix).apply(source.points) for matrix in (printed, written))
+    assert np.abs(np.subtract(*moved)).max() < 1e-3
+    kept = read_cloud(tmp_path / 'fused.ply').points[: len(target.points)]
+    assert np.abs(kept - target.points).max() <= 1e-6
+
+
+def test_the_run_of_a_bag_that_is_named_is_registered(cases, tmp_path):
+    topics = ['--source-topic', '/sfm/points', '--target-topic', '/camera/points']
+    result = tmp_path / 'r.json'
+    assert main(['register', '--bag', str(cases / 'two_runs' / 'run2.mcap'), *topics, '--json', str(result)]) == 0
+    assert json.loads(result.read_text())['scale'] == pytest.approx(1.7, rel=0.01)
 
 
 def test_the_file_that_is_named_is_read(cases, tmp_path):

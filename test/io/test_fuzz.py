@@ -6,7 +6,7 @@ from fuzz.fuzz import BAGS, run
 
 from csgm_ros.io.files import read_cloud
 
-KINDS = ('ply', 'pcd', 'xyz', 'npy', 'npz', 'las', 'laz', 'e57', 'stl', 'obj', 'glb')
+KINDS = ('ply', 'pcd', 'xyz', 'npy', 'npz', 'las', 'laz', 'e57', 'stl', 'obj', 'glb', 'gltf', 'off')
 CLOUDS = (*(f'cloud.{kind}' for kind in KINDS), 'points3D.bin', 'points3D.txt')
 FILES = (*CLOUDS, 'depth.png', *corpus.CAMERAS)
 

@@ -2,7 +2,8 @@
 
 Two sensors of 300,000 points at 10 Hz that die and come back, which see one scene, so that their clouds register;
 three clients that change parameters, deactivate, clean up, cancel and register at random. Every few seconds the process
-is measured.
+is measured; all the time somebody listens to what it says of itself and to the transforms that it gives out, whose
+truth is known.
 """
 
 import argparse
@@ -18,16 +19,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import Float64MultiArray
 
-from csgm_ros.ros.client.connection import Client, NoAnswerError
+from csgm_ros.errors import CsgmError
+from csgm_ros.ros.client.connection import Client
+from csgm_ros.types import Similarity
+from ros_helpers.clouds import displacement, easy_pair
+from ros_helpers.peer import LATCHED, RELIABLE, Peer
 from ros_helpers.process import NodeProcess, Process
 
-SPACE = '/soak'
+SPACE = f'/soak_{os.getpid()}'  # a node that an interrupted run left over takes no part
 PERIOD = 3.0  # seconds between two measurements
 ANSWER = 60.0  # seconds within which every operation has to be answered
 MEMORY = 0.05  # growth of the resident memory after warm-up
 HANDLES = 6  # threads or descriptors that come and go with the sensors and the pool of a running registration
 AGE = 5.0  # seconds between the arrival of a message and its handling, on 2 cores that others use too
+OFF = 0.03  # of the target's radius, by which a transform that is given out as right may be off
 SHARED = Path('/dev/shm')
 
 
@@ -41,24 +49,30 @@ class Figures:
         Seconds since the start, resident MB, threads, file descriptors, MB in /dev/shm.
     counts : dict
         Operations by name: (answered with success, answered with a reason).
-    reasons : collections.Counter
-        How what ~/register answered begins.
+    reasons : dict of str to collections.Counter
+        How what was refused begins, by operation.
     slowest : dict
         Longest answer of each operation, seconds.
     unanswered : list of str
         Operations without an answer.
-    ages : list of float
-        Longest delay of a message from its arrival to its callback since the node was last activated, seconds.
+    clouds : int
+        Messages that the node took.
+    age : float
+        Longest time of a message from its arrival to its callback, seconds.
+    errors : list of float
+        How far each transform that was given out is off, of the target's radius.
     tracebacks : int
         In the log of the node.
     """
 
     rows: list = field(default_factory=list)
     counts: dict = field(default_factory=dict)
-    reasons: Counter = field(default_factory=Counter)
+    reasons: dict = field(default_factory=dict)
     slowest: dict = field(default_factory=dict)
     unanswered: list = field(default_factory=list)
-    ages: list = field(default_factory=list)
+    clouds: int = 0
+    age: float = float('inf')
+    errors: list = field(default_factory=list)
     tracebacks: int = 0
 
     def table(self) -> str:
@@ -71,10 +85,17 @@ class Figures:
             f'| {name} | {done} | {refused} | {self.slowest[name]:.2f} |'
             for name, (done, refused) in sorted(self.counts.items())
         ]
-        said = ', '.join(f'{reason} {count}' for reason, count in self.reasons.most_common())
+        lines.append('')
+        for name, reasons in sorted(self.reasons.items()):
+            lines.append(f'{name}: ' + ', '.join(f'{reason} {count}' for reason, count in reasons.most_common()))
         memory, *others = self.growth()
-        lines += ['', f'register: {said}', f'growth: {100 * memory:.1f} % of memory, {others} of the other columns']
-        return '\n'.join([*lines, f'unanswered: {self.unanswered or "none"}; oldest message {max(self.ages):.2f} s'])
+        worst = f'{100 * max(self.errors):.2f} % of the radius' if self.errors else 'nothing'
+        lines += [
+            f'growth: {100 * memory:.1f} % of memory, {others} of the other columns',
+            f'{self.clouds} clouds taken, the oldest {self.age:.2f} s after it came',
+            f'{len(self.errors)} transforms given out, off by {worst} at most',
+        ]
+        return '\n'.join([*lines, f'unanswered: {self.unanswered or "none"}'])
 
     def growth(self) -> tuple[float, int, int, float]:
         """Return how much memory (share), threads, descriptors and MB in /dev/shm grew from the 2nd to the 4th quarter.
@@ -96,12 +117,14 @@ class Figures:
         memory, threads, descriptors, shared = self.growth()
         found = [f'unanswered: {each}' for each in self.unanswered]
         found += [] if self.counts.get('register', (0, 0))[0] else ['no registration was accepted']
+        found += [] if self.errors else ['no transform was heard']
+        found += [f'a transform is {100 * max(self.errors):.1f} % off'] if max(self.errors, default=0.0) > OFF else []
         found += [f'{self.tracebacks} tracebacks in the log'] if self.tracebacks else []
         found += [f'memory grew by {100 * memory:.1f} %'] if memory > most else []
         found += [f'{threads} more threads'] if threads > HANDLES else []
         found += [f'{descriptors} more descriptors'] if descriptors > HANDLES else []
         found += [f'{shared:.1f} MB more in /dev/shm'] if shared > 1.0 else []
-        found += [f'a message waited {max(self.ages):.1f} s'] if max(self.ages) > AGE else []
+        found += [f'a message waited {self.age:.1f} s'] if self.age > AGE else []
         return found
 
 
@@ -114,6 +137,13 @@ class Disturber(threading.Thread):
         self._figures, self._lock, self._stop_asked = figures, lock, stop
 
     def run(self):
+        try:
+            self._disturb()
+        except Exception as error:  # or it would be missed by nobody
+            with self._lock:
+                self._figures.unanswered.append(f'a client ended: {type(error).__name__}: {error}')
+
+    def _disturb(self):
         with Client(f'{SPACE}/csgm', ANSWER) as client:
             operations = {
                 'register': lambda: client.register(timeout=ANSWER),
@@ -122,11 +152,12 @@ class Disturber(threading.Thread):
                 'refused parameters': lambda: client.set_parameters({'icp.iterations': -1}),
                 'deactivate': client.deactivate,
                 'deactivate, cleanup': lambda: [client.deactivate(), client.cleanup()][-1],
+                'cleanup': client.cleanup,
                 'configure': lambda: client.configure(timeout=ANSWER),
                 'activate': client.activate,
                 'state': client.state,
             }
-            weights = [9, 1, 4, 1, 1, 1, 3, 6, 2]
+            weights = [9, 1, 4, 1, 1, 1, 1, 3, 6, 2]
             while not self._stop_asked.wait(self._pause * self._rng.random()):
                 (name,) = self._rng.choices(list(operations), weights)
                 self._do(name, operations[name])
@@ -138,7 +169,7 @@ class Disturber(threading.Thread):
         started = time.monotonic()
         try:
             answer = operation()
-        except NoAnswerError as error:
+        except CsgmError as error:
             with self._lock:
                 self._figures.unanswered.append(f'{name}: {error}')
             return
@@ -146,10 +177,44 @@ class Disturber(threading.Thread):
         with self._lock:
             done, refused = self._figures.counts.get(name, (0, 0))
             success = getattr(answer, 'success', True)
-            if name == 'register':
-                self._figures.reasons[re.split('[:;,(]', answer.message)[0].strip()] += 1
+            if not success:
+                reasons = self._figures.reasons.setdefault(name, Counter())
+                reasons[re.sub(r'\d\S*', 'N', re.split('[;,(]', answer.message)[0]).strip()] += 1
             self._figures.counts[name] = (done + success, refused + (not success))
             self._figures.slowest[name] = max(seconds, self._figures.slowest.get(name, 0.0))
+
+
+class Listener:
+    """Hears what the node says of itself, ten times a second, and every transform that it gives out."""
+
+    def __init__(self, figures: Figures):
+        self._figures, self._last, self.heard = figures, {}, time.monotonic()
+        self._source, target, self._truth = easy_pair()
+        self._radius = np.linalg.norm(target - target.mean(0), axis=1).max()
+        self._peer = Peer()
+        self._peer.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, RELIABLE)
+        self._peer.node.create_subscription(Float64MultiArray, f'{SPACE}/csgm/similarity', self._on_transform, LATCHED)
+
+    def close(self):
+        self._peer.close()
+
+    def _on_diagnostics(self, message):
+        for side in ('source', 'target'):
+            for status in message.status:
+                if status.name == f'{SPACE[1:]}.csgm: {side}':
+                    self._on_input(side, {pair.key: pair.value for pair in status.values})
+
+    def _on_input(self, side, values):
+        """Counts and delays begin anew with each activation."""
+        figures, received, delay = self._figures, int(values['received']), float(values['longest delay ms']) / 1e3
+        before = self._last.get(side, 0)
+        figures.clouds += received - before if received >= before else received
+        figures.age = delay if figures.age == float('inf') else max(figures.age, delay)
+        self._last[side], self.heard = received, time.monotonic()
+
+    def _on_transform(self, message):
+        found = Similarity.from_matrix(np.reshape(message.data, (4, 4)))
+        self._figures.errors.append(displacement(found, self._truth, self._source) / self._radius)
 
 
 def sensor(side: str, points: int, rate: float):
@@ -184,39 +249,39 @@ def soak(seconds: float, *, points: int = 300_000, rate: float = 10.0, pause: fl
     figures, lock, stop = Figures(), threading.Lock(), threading.Event()
     node = NodeProcess('-r', f'__ns:={SPACE}', '-p', 'autostart:=true', '-p', 'time_budget:=5.0')
     sensors = []
+    listener = Listener(figures)
     try:
         node.wait_log('active: source', 600.0)  # its kernels may have to be compiled
-        with Client(f'{SPACE}/csgm', ANSWER) as client:
-            sensors = [sensor(side, points, rate) for side in ('source', 'target')]
-            clients = [Disturber(number, figures, lock, stop, pause) for number in range(3)]
-            for each in clients:
-                each.start()
-            watch(seconds, node, client, sensors, figures, rebirth, (points, rate))
-            stop.set()
-            for each in clients:
-                each.join(2 * ANSWER)
-                if each.is_alive():
-                    figures.unanswered.append('a client waits for ever')
+        sensors = [sensor(side, points, rate) for side in ('source', 'target')]
+        clients = [Disturber(number, figures, lock, stop, pause) for number in range(3)]
+        for each in clients:
+            each.start()
+        watch(seconds, node, listener, sensors, figures, rebirth, (points, rate))
+        stop.set()
+        for each in clients:
+            each.join(2 * ANSWER)
+            if each.is_alive():
+                figures.unanswered.append('a client waits for ever')
         figures.tracebacks = node.log.count('Traceback')
         node.close()
         return figures
     finally:
         stop.set()
+        listener.close()
         for each in sensors:
             each.kill()
         if node.popen.poll() is None:
             node.kill()
 
 
-def watch(seconds, node, client, sensors, figures, rebirth, size):
+def watch(seconds, node, listener, sensors, figures, rebirth, size):
     """Measure, and let the sensors die and come back in turn, one orderly and one by SIGKILL."""
     started = born = time.monotonic()
     turn = 0
     while (now := time.monotonic()) - started < seconds:
         assert node.popen.poll() is None, node.log
-        with contextlib.suppress(NoAnswerError):
-            values = client.status().values
-            figures.ages.append(max(float(values[name]['longest delay ms']) for name in ('source', 'target')) / 1e3)
+        if now - listener.heard > ANSWER:
+            figures.unanswered.append(f'silent on /diagnostics for {now - listener.heard:.0f} s')
         figures.rows.append(
             (now - started, node.resident_mb(), node.threads(), node.descriptors(), shared_megabytes(node.pid))
         )
