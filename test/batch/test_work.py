@@ -9,7 +9,16 @@ from csgm_ros.batch.work import register_pair
 from csgm_ros.config import profile, replaced
 from csgm_ros.types import Similarity
 
-QUICK = replaced(profile(), {'matching.alpha_steps': 5, 'matching.search_effort': 0.0, 'supervoxels.seed_size': 0.35})
+QUICK = replaced(
+    profile(),
+    {
+        'matching.alpha_steps': 5,
+        'matching.search_effort': 0.0,
+        'supervoxels.seed_size': 0.35,
+        'hypotheses.sources': ('graph',),
+        'hypotheses.relative_scales': (0.6,),
+    },
+)
 
 
 @pytest.fixture(scope='module')
@@ -18,8 +27,8 @@ def rows(tmp_path_factory):
     folder = tmp_path_factory.mktemp('pairs')
     truth = random_similarity(np.random.default_rng(3), (0.3, 0.4), 10.0)
     upside_down = Similarity(truth.scale, truth.rotation @ np.diag([1.0, -1.0, -1.0]), truth.translation)
-    np.save(folder / 'a.npy', room(1, 300))
-    np.save(folder / 'b.npy', truth.apply(room(2, 300)))
+    np.save(folder / 'a.npy', room(1, 200))
+    np.save(folder / 'b.npy', truth.apply(room(2, 200)))
     lines = ['source,target,id,initial']
     for name, guess in (('none', None), ('right', truth), ('wrong', upside_down)):
         numbers = [] if guess is None else guess.matrix.ravel().tolist()
