@@ -22,12 +22,12 @@ from benchmarks.meshes import random_rotation
 from benchmarks.verdict_cases import Case
 from csgm_ros import register
 from csgm_ros.attempts import Attempt
+from csgm_ros.cloud.agreement import Agreement
 from csgm_ros.config import Config, profile, replaced
 from csgm_ros.errors import CsgmError
 from csgm_ros.scale import normalize
 from csgm_ros.transform.refinement import refine_between
 from csgm_ros.types import Similarity
-from csgm_ros.verification.agreement import Agreement
 from csgm_ros.verification.findings import Findings, Motion, Rival, refined
 from csgm_ros.verification.view import View
 

@@ -20,8 +20,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks import ablation, database_c, datasets, harness, meshes, metrics, peers, tables, verdict
 from benchmarks.verdict_cases import Case
 from benchmarks.verdict_trials import Trial, load, save
+from csgm_ros.cloud.agreement import Agreement
 from csgm_ros.config import flatten, profile
-from csgm_ros.verification.agreement import Agreement
 from csgm_ros.verification.findings import Findings, Motion, Rival
 
 MESH = meshes.sculpture('blob', 5, resolution=32)

@@ -1,4 +1,4 @@
-"""Two clouds in cells whose edges fit each other at any scale, and what is evidence for a transform there.
+"""Two clouds in cells whose edges fit each other at any scale, and how far they agree under a transform there.
 
 Where one cloud is much larger than the other, lengths relative to their radii mean nothing. Here they come from the
 structure of the source: the edge of the cells that a few thousand of it occupy. The target is looked at on a ladder of
@@ -12,16 +12,18 @@ from functools import cached_property
 
 import numpy as np
 
+from csgm_ros.cloud.agreement import Comparison
 from csgm_ros.cloud.cells import Cells, cells, working_size
-from csgm_ros.cloud.planes import Plane, frame
-from csgm_ros.transform import batch_icp, occupancy
+from csgm_ros.cloud.witnesses import Witnesses, asked, robust_radius
+from csgm_ros.transform import batch_icp
 
 WORKING = 4000  # cells of the source
 MOST = 40000  # cells of the target, of 2 * WORKING of the source
 RUNG = 1.6  # between the edges of the target's cells on two rungs
-EDGES = np.array([-14, -8, -4.5, -1.5, 1.5, 3, 5, 7, 10, 14, 20, 30, 50.0])  # of the layers, cells above a plane
-SIDE = 160  # cells looked at
-PLANES = 3  # above which is looked
+COMPARED = 2.0  # cells: at which length of structure the clouds are compared; photographs are bent at finer ones
+ASKED, MOST_ASKED = 1500, 6000  # cells
+NEIGHBORS = 12
+LEAST = 30  # cells with a normal, below which a cloud shows nothing
 SAME = 2.0  # cells of mean displacement up to which two transforms are one
 PROBES = 60
 ITERATIONS = 5  # of ICP, per gate
@@ -46,6 +48,7 @@ class Ladder:
     def __init__(self, source: np.ndarray, target: np.ndarray, seed: int):
         self._clouds, self._seed = (source, target), seed
         self._rungs: dict[int, Cells] = {}
+        self._comparisons: dict[int, Comparison | None] = {}
         self.finalists: np.ndarray | None = None
 
     @cached_property
@@ -56,29 +59,38 @@ class Ladder:
 
     def rung(self, scale: float) -> Cells:
         """Return the target in cells about as large as the source's under a scale."""
-        number = round(np.log(scale) / np.log(RUNG))
+        number = _number(scale)
         if number not in self._rungs:
             size = self.source.size * RUNG**number
             self._rungs[number] = cells(self._clouds[1], size, MOST, np.random.default_rng(self._seed))
         return self._rungs[number]
 
     def scores(self, transforms: Iterable[np.ndarray]) -> np.ndarray:
-        """Return the evidence (H,) for (H, 4, 4) transforms, averaged over the target's dominant planes."""
+        """Return how far the clouds agree (H,) under (H, 4, 4) transforms, see :class:`Comparison`."""
         return np.array([self._score(transform) for transform in transforms])
 
     def _score(self, transform: np.ndarray) -> float:
-        scale = scale_of(transform)
-        rung, size = self.rung(scale), self.source.size * scale
-        centre = transform[:3, :3] @ self._middle + transform[:3, 3]
-        planes = rung.planes[:PLANES] or [Plane(np.array([0.0, 0.0, 1.0]), rung.points.mean(0))]
-        total = 0.0
-        for plane in planes:
-            axes = frame(plane.normal) / size
-            offset = -axes @ centre
-            offset[2] = -axes[2] @ plane.point
-            target = np.column_stack([axes, offset])
-            total += occupancy.evidence(self.source.points, rung.points, target @ transform, target, EDGES, SIDE)
-        return total / len(planes)
+        number = _number(scale_of(transform))
+        if number not in self._comparisons:
+            self._comparisons[number] = self._comparison(number)
+        comparison, back = self._comparisons[number], RUNG**-number
+        return comparison.agreement(transform @ np.diag([back, back, back, 1.0])).score if comparison else 0.0
+
+    def _comparison(self, number: int) -> Comparison | None:
+        """Return the clouds on one rung, the source enlarged to it; None where one of them shows nothing there."""
+        factor = RUNG**number
+        rung = self.rung(factor)
+        sides = [_known(factor * self.source.points, self.source.normals), _known(rung.points, rung.normals)]
+        if min(len(points) for points, _ in sides) < LEAST:
+            return None
+        cell = COMPARED * factor * self.source.size
+        reach = 2.0 * min(robust_radius(points) for points, _ in sides)
+        first, second = (self._asked(*side, cell, reach) for side in sides)
+        return Comparison(first, second, cell)
+
+    def _asked(self, points: np.ndarray, normals: np.ndarray, cell: float, reach: float) -> Witnesses:
+        count = int(np.clip(ASKED * len(points) / len(self.source.points), ASKED, MOST_ASKED))
+        return asked(points, normals, cell, reach, np.random.default_rng(self._seed), NEIGHBORS, count)
 
     def refine(
         self, transforms: np.ndarray, gates: tuple[float, ...], samples: int, *, fine: bool, estimate_scale: bool
@@ -134,12 +146,17 @@ class Ladder:
         return len(self.distinct(np.stack([first, second]), (0, 1), 2)) == 1
 
     @cached_property
-    def _middle(self) -> np.ndarray:
-        return np.median(self.source.points, axis=0)
-
-    @cached_property
     def _probe(self) -> np.ndarray:
         return self.source.points[:: max(1, len(self.source.points) // PROBES)]
+
+
+def _number(scale: float) -> int:
+    return round(np.log(scale) / np.log(RUNG))
+
+
+def _known(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    known = (normals != 0).any(1)
+    return points[known], normals[known]
 
 
 def scale_of(transform: np.ndarray) -> float:

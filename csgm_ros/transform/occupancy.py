@@ -96,25 +96,3 @@ def fields(points, into, edges, out):
             for j in range(side):
                 out[0, layer, i, j] = occupied[layer, i, j]
                 out[1, layer, i, j] = table[layer, grade(soft[layer, i, j])] if seen[i, j] else -UNSEEN
-
-
-@kernel
-def evidence(source, target, source_into, target_into, edges, side):
-    """Return the log ratio, summed over both, of two clouds that (3, 4) matrices bring into cells above one plane."""
-    layers = len(edges) - 1
-    shape = (layers, side, side)
-    occupied_1, occupied_2 = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
-    soft_1, soft_2 = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    seen_1, seen_2 = np.zeros((side, side), np.uint8), np.zeros((side, side), np.uint8)
-    columns_1, total_1 = raster(source, source_into, edges, occupied_1, soft_1, seen_1)
-    columns_2, total_2 = raster(target, target_into, edges, occupied_2, soft_2, seen_2)
-    table_1, table_2 = ratios(columns_1, total_1), ratios(columns_2, total_2)
-    total = 0.0
-    for layer in range(layers):
-        for i in range(side):
-            for j in range(side):
-                if occupied_1[layer, i, j]:
-                    total += table_2[layer, grade(soft_2[layer, i, j])] if seen_2[i, j] else -UNSEEN
-                if occupied_2[layer, i, j]:
-                    total += table_1[layer, grade(soft_1[layer, i, j])] if seen_1[i, j] else -UNSEEN
-    return total

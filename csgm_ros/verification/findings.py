@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from csgm_ros.cloud.agreement import Agreement, Comparison
+from csgm_ros.cloud.witnesses import NEAR
 from csgm_ros.types import NearestGrid
-from csgm_ros.verification.agreement import Agreement, Comparison
 from csgm_ros.verification.probes import SCALES, mirrors, scales, symmetries
-from csgm_ros.verification.witnesses import NEAR
 
 Refine = Callable[..., np.ndarray]
 """``refine(transforms, grids, samples, distances, estimate_scale)``, see

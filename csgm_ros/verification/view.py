@@ -8,15 +8,15 @@ from functools import cached_property
 
 import numpy as np
 
+from csgm_ros.cloud.agreement import Comparison
+from csgm_ros.cloud.witnesses import robust_radius, witnesses, working_cell
 from csgm_ros.config import Config
 from csgm_ros.types import NormalizedPair, Similarity, Surface, Verdict
-from csgm_ros.verification.agreement import Comparison
 from csgm_ros.verification.decide import Units, decide, within_bounds
 from csgm_ros.verification.evidence import Evidence, measure
 from csgm_ros.verification.findings import Findings, Refine, compared, probed
 from csgm_ros.verification.free_space import seen_through
 from csgm_ros.verification.surfaces import normal_angle, surface
-from csgm_ros.verification.witnesses import witnesses, working_cell
 
 SAME_SCALE = 0.35  # |log ratio| up to which two scales share a comparison
 MOST_COMPARED = 12  # finalists that a winner is compared with
@@ -135,7 +135,7 @@ class View:
             source, target = (points * factor for points, factor in sides)
             sizes = self._cells
             cell = min(sizes[0] * used, sizes[1])
-            reach = 2.0 * min(_robust_radius(source), _robust_radius(target))
+            reach = 2.0 * min(robust_radius(source), robust_radius(target))
             neighbors, rng = self._config.preprocess.normal_neighbors, np.random.default_rng(0)
             first, second = (witnesses(points, cell, reach, rng, neighbors) for points in (source, target))
             self._comparisons[step] = Comparison(first, second, cell)
@@ -167,7 +167,3 @@ class View:
 def _reduced(transform: Similarity, scale: float) -> np.ndarray:
     """Return the matrix of a transform for a source that was enlarged by a scale."""
     return transform.matrix @ np.diag([1.0 / scale, 1.0 / scale, 1.0 / scale, 1.0])
-
-
-def _robust_radius(points: np.ndarray) -> float:
-    return float(np.percentile(np.linalg.norm(points - np.median(points, axis=0), axis=1), 90))

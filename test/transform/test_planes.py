@@ -6,7 +6,6 @@ from scipy.spatial.transform import Rotation
 
 from csgm_ros.cloud.cells import cells, working_size
 from csgm_ros.cloud.planes import frame
-from csgm_ros.transform import occupancy
 from csgm_ros.transform.ladder import Ladder, scale_of
 from csgm_ros.transform.planes import finalists
 from csgm_ros.types import Similarity
@@ -88,24 +87,18 @@ def test_the_largest_plane_is_the_floor_and_its_normal_points_up():
     np.testing.assert_allclose(frame(plane.normal) @ plane.normal, (0, 0, 1), atol=1e-12)
 
 
-def test_evidence_counts_what_stands_alone_and_not_what_is_everywhere():
-    edges = np.array([-0.5, 0.5, 5.0])
-    into = np.eye(4)[:3]
-    grid = np.stack(np.meshgrid(np.arange(-20, 20), np.arange(-20, 20), indexing='ij'), -1).reshape(-1, 2) + 0.5
-    floor = np.column_stack([grid, np.zeros(len(grid))])
-    pole = np.array([[3.5, 4.5, 2.0]])
+def test_what_stands_on_a_floor_says_more_than_the_floor():
+    source, target = view(hall(1)), hall(2)
+    ladder = Ladder(source, target, 0)
+    slid = np.eye(4)
+    slid[0, 3] = 2.0  # the floor still lies on the floor
+    right, wrong = ladder.scores([np.eye(4), slid])
+    assert right > 5.0 * wrong
 
-    def score(first, second):
-        return occupancy.evidence(first, second, into, into, edges, 64)
 
-    alone = score(floor, floor)
-    one_of_floor = alone / (2 * len(floor))
-    with_pole = score(np.concatenate([floor, pole]), np.concatenate([floor, pole]))
-    moved = pole + np.array([8.0, 0.0, 0.0])
-    assert (with_pole - alone) / 2 > 20 * one_of_floor
-    assert score(np.concatenate([floor, pole]), np.concatenate([floor, moved])) < alone
-    far = floor + np.array([100.0, 0.0, 0.0])  # outside of what is looked at: nothing speaks against it
-    np.testing.assert_allclose(score(floor, far), -occupancy.UNSEEN * len(floor))
+def test_clouds_without_any_surface_do_not_agree():
+    line = np.linspace(0.0, 1.0, 600)[:, None] * (1.0, 0.0, 0.0)
+    assert Ladder(line, hall(2), 0).scores([np.eye(4)]) == 0.0
 
 
 def test_the_scale_of_a_matrix():

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from csgm_ros.cloud.agreement import Agreement
 from csgm_ros.config import ScaleConfig, VerificationConfig
 from csgm_ros.types import Similarity
-from csgm_ros.verification.agreement import Agreement
 from csgm_ros.verification.decide import Units, confidence, decide, margin, no_hypothesis, within_bounds
 from csgm_ros.verification.evidence import Evidence
 from csgm_ros.verification.findings import Findings, Motion, Rival, motion

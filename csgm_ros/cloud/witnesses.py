@@ -8,6 +8,7 @@ points lie in its plane.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -33,8 +34,11 @@ class Witnesses:
     Attributes
     ----------
     points, normals : (N, 3) ndarray
-    grid, wide : NearestGrid
-        Of all points, and of some within reach of a wide correspondence distance.
+    cell : float
+    grid : NearestGrid
+        Of all points, as far as a point that agrees may be.
+    order : (N,) index array
+        A random one, that of the sample.
     sample : (S,) index array
         The points that are asked.
     coplanar : (S,) ndarray
@@ -47,12 +51,19 @@ class Witnesses:
 
     points: np.ndarray
     normals: np.ndarray
+    cell: float
     grid: NearestGrid
-    wide: NearestGrid
+    order: np.ndarray
     sample: np.ndarray
     coplanar: np.ndarray
     gap: float
     bend: float
+
+    @cached_property
+    def wide(self) -> NearestGrid:
+        """Of some points, within reach of a wide correspondence distance."""
+        some = self.order[: max(3000, len(self.points) // 5)]
+        return nearest_grid.build(self.points[some], self.normals[some], 0.75 * self.cell, WIDE * self.cell)
 
 
 def working_cell(points: np.ndarray, count: int = CELLS) -> float:
@@ -69,6 +80,11 @@ def working_cell(points: np.ndarray, count: int = CELLS) -> float:
         if not low < size < high:
             size = (low + high) / 2 if np.isfinite(high) else 2 * low
     return float(size)
+
+
+def robust_radius(points: np.ndarray) -> float:
+    """Return the distance to their median within which nine of ten (N, 3) points lie."""
+    return float(np.percentile(np.linalg.norm(points - np.median(points, axis=0), axis=1), 90))
 
 
 def witnesses(
@@ -88,19 +104,32 @@ def witnesses(
     if len(means) > MOST_POINTS:
         means = means[rng.permutation(len(means))[:MOST_POINTS]]
     normals = normals_of(means, min(neighbors, len(means)))
-    order = rng.permutation(len(means))
     extent = len(occupied(means, lattice_origin(means, cell), cell)[0]) / CELLS
-    sample = order[: int(np.clip(SAMPLES * extent, SAMPLES, MOST_SAMPLES))]
-    some = order[: max(3000, len(means) // 5)]
-    gap, bend = _spacing(means, normals, sample[:1000], neighbors, cell)
-    same = cosine(COPLANAR_ANGLE)
+    count = int(np.clip(SAMPLES * extent, SAMPLES, MOST_SAMPLES))
+    return asked(means, normals, cell, plane_reach, rng, neighbors, count)
+
+
+def asked(
+    points: np.ndarray,
+    normals: np.ndarray,
+    cell: float,
+    plane_reach: float,
+    rng: np.random.Generator,
+    neighbors: int,
+    count: int,
+) -> Witnesses:
+    """Return the witnesses of a cloud that is evenly sampled, ``count`` of its points asked, see :func:`witnesses`."""
+    order = rng.permutation(len(points))
+    sample = order[:count]
+    gap, bend = _spacing(points, normals, sample[:1000], neighbors, cell)
     return Witnesses(
-        means,
+        points,
         normals,
-        nearest_grid.build(means, normals, 0.4 * cell, (NEAR + 0.1) * cell),
-        nearest_grid.build(means[some], normals[some], 0.75 * cell, WIDE * cell),
+        cell,
+        nearest_grid.build(points, normals, 0.4 * cell, (NEAR + 0.1) * cell),
+        order,
         sample,
-        coplanar(means[sample], normals[sample], same, COPLANAR_OFFSET * cell, plane_reach),
+        coplanar(points[sample], normals[sample], cosine(COPLANAR_ANGLE), COPLANAR_OFFSET * cell, plane_reach),
         gap,
         bend,
     )

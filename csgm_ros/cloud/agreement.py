@@ -9,7 +9,7 @@ import numpy as np
 from csgm_ros.cloud.kernels import kernel
 from csgm_ros.cloud.nearest_grid import lookup
 from csgm_ros.cloud.normals import cosine
-from csgm_ros.verification.witnesses import NEAR, Witnesses
+from csgm_ros.cloud.witnesses import NEAR, Witnesses
 
 INLIER = 0.5  # cells
 MIN_ANGLE, MAX_ANGLE, BENDS = 15.0, 40.0, 1.5  # degrees that normals may differ by; or medians across a neighbourhood
