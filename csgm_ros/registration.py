@@ -47,6 +47,7 @@ from csgm_ros.verification.evidence import Evidence
 from csgm_ros.verification.view import View, Viewpoints
 
 NAMES = ('source', 'target')
+GUIDED_WIDTH = 0.25  # seed spacings; with it, matched nodes are at most half of one apart
 MOST_SHOWN = 4  # hypotheses that people are shown: the answer and the best of what competed with it
 LEAST_EFFORT = {
     'supervoxels.voxel_size': 0.1,
@@ -441,7 +442,7 @@ def _result(
     graphs = matched.source, matched.target
     gaps = np.linalg.norm(best.apply(graphs[0].nodes)[:, None] - graphs[1].nodes, axis=2)
     agree = gaps < config.ransac.inlier_distance
-    guided = match_guided(matched, gaps, 0.5 * config.supervoxels.seed_size)
+    guided = match_guided(matched, gaps, GUIDED_WIDTH * config.supervoxels.seed_size)
     unguided = matched.matching.pairs
     own = pair.in_own_units(best)
     if not config.scale.estimate_scale:

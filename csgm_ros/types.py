@@ -492,7 +492,8 @@ class RegistrationResult:
     source_graph, target_graph : StructureGraph or None
         The matched graphs, in the clouds' own units.
     matches : (k, 2) int ndarray
-        Matched nodes (source, target) of a matching guided by ``transform``: which supervoxels are one place.
+        Matched nodes (source, target) of a matching guided by ``transform``: which supervoxels are one place. How many
+        of the nodes have one says about as much as the fitness.
     match_inliers : (k,) bool ndarray
         Which matches agree with ``transform``.
     unguided_matches, unguided_inliers : (k, 2) int, (k,) bool ndarray

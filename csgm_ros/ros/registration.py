@@ -233,10 +233,16 @@ def viewpoint_of(request: Request, name: str) -> np.ndarray | None:
 def describe(result: RegistrationResult) -> str:
     """Return verdict, scale, fitness and seconds, or the reason, in one line."""
     fitness = f'fitness {result.fitness_source:.2f}/{result.fitness_target:.2f}'
-    inliers = f'{int(result.match_inliers.sum())}/{len(result.matches)} guided matches agree'
+    matched = f'{matched_nodes(result)} supervoxels matched'
     if result.accepted:
-        return f'accepted: scale {result.scale:.6g}, {fitness}, {inliers}, {result.seconds:.2f} s'
-    return f'rejected: {result.reason} ({fitness}, {inliers}, {result.seconds:.2f} s)'
+        return f'accepted: scale {result.scale:.6g}, {fitness}, {matched}, {result.seconds:.2f} s'
+    return f'rejected: {result.reason} ({fitness}, {matched}, {result.seconds:.2f} s)'
+
+
+def matched_nodes(result: RegistrationResult) -> str:
+    """Return how many nodes of the source have their match under the transform, of how many."""
+    nodes = 0 if result.source_graph is None else len(result.source_graph.nodes)
+    return f'{int(result.match_inliers.sum())}/{nodes}'
 
 
 def explain(error: BaseException) -> str:
@@ -264,7 +270,7 @@ def facts(outcome: Outcome) -> dict[str, Any]:
         'fitness target': f'{result.fitness_target:.4f}',
         'inlier rmse': f'{result.verdict.inlier_rmse:.6g}',
         'confidence': f'{result.confidence:.3f}',
-        'matches': f'{int(result.match_inliers.sum())}/{len(result.matches)}',
+        'matches': matched_nodes(result),
         'matches unguided': f'{int(result.unguided_inliers.sum())}/{len(result.unguided_matches)}',
         'source points': len(outcome.source.points),
         'target points': len(outcome.target.points),

@@ -198,10 +198,13 @@ def _matching(data: ReportData) -> str:
         chart = charts.curve(data.path, 'alpha, from concave to convex', 'J(X)')
         pictures.append(f'<figure>{chart}<figcaption>J along the path</figcaption></figure>')
     note = ''
-    if len(data.matches):
-        note = f'{int(data.match_inliers.sum())} of {len(data.matches)} matches under the answer agree with it. '
-    if data.unguided is not None:
-        note += f'Of those found without knowing it, {data.unguided[0]} of {data.unguided[1]} do.'
+    if data.graphs is not None:
+        nodes = len(data.graphs[0].nodes)
+        note = (
+            f'Under the answer {int(data.match_inliers.sum())} of {nodes} nodes of the source have a match that agrees '
+            f'with it. Of {len(data.unguided_matches)} matches found without knowing it, '
+            f'{int(data.unguided_inliers.sum())} do; few need to.'
+        )
     return _section('matching', 'Graph matching', f'<div class="row">{"".join(pictures)}</div>', note)
 
 

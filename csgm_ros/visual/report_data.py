@@ -59,8 +59,8 @@ class ReportData:
         Matched nodes (source, target).
     match_inliers : (k,) bool ndarray
         Which of them agree with the answer.
-    unguided : (int, int) or None
-        How many matches agree of those made without knowing the answer, and of how many.
+    unguided_matches, unguided_inliers : (k, 2) int, (k,) bool ndarray
+        The same of those made without knowing the answer.
     node_affinity, edge_affinity, assignment : ndarray or None
         K_p, K_q and X of the paper.
     path : (a, 2) ndarray or None
@@ -86,7 +86,8 @@ class ReportData:
     graphs: tuple[StructureGraph, StructureGraph] | None = None
     matches: np.ndarray = field(default_factory=lambda: np.empty((0, 2), int))
     match_inliers: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
-    unguided: tuple[int, int] | None = None
+    unguided_matches: np.ndarray = field(default_factory=lambda: np.empty((0, 2), int))
+    unguided_inliers: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
     node_affinity: np.ndarray | None = None
     edge_affinity: np.ndarray | None = None
     assignment: np.ndarray | None = None
@@ -123,7 +124,8 @@ def report_data(result: RegistrationResult, source: CloudFile, target: CloudFile
         graphs=(result.source_graph, result.target_graph),
         matches=result.matches,
         match_inliers=result.match_inliers,
-        unguided=(int(result.unguided_inliers.sum()), len(result.unguided_matches)),
+        unguided_matches=result.unguided_matches,
+        unguided_inliers=result.unguided_inliers,
         node_affinity=details.graphs.node_affinity,
         edge_affinity=details.graphs.edge_affinity,
         assignment=details.graphs.matching.assignment,

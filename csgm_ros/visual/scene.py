@@ -212,8 +212,6 @@ def _poses(data: ReportData, source: Shown, target: Shown, arrays: Arrays) -> tu
             'source': arrays.add(f'source.error.{rank}', _bytes(forth / reach)),
             'target': arrays.add(f'target.error.{rank}', _bytes(back * pose.transform.scale / reach)),
         }
-        if rank == 0 and len(data.matches):
-            made['inliers'] = data.match_inliers.tolist()
         poses.append(made)
     return poses, 0 if in_sight else 1
 
@@ -235,7 +233,9 @@ def _graphs(data: ReportData, source: Shown, target: Shown) -> dict | None:
             ('source', 'target'), data.graphs, (source, target), (SOURCE_TINT, TARGET_TINT), strict=True
         )
     }
-    return {**made, 'matches': data.matches.tolist(), 'inlier_distance': data.match_distance * target.frame.scale}
+    # those made without knowing the answer tell what was right of them, in the same colours
+    matches = np.unique(np.concatenate([data.matches, data.unguided_matches]), axis=0)
+    return {**made, 'matches': matches.tolist(), 'inlier_distance': data.match_distance * target.frame.scale}
 
 
 def _axes(points: np.ndarray) -> np.ndarray:

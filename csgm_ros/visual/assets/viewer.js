@@ -202,11 +202,10 @@ class View {
     const graphs = this.manifest.graphs;
     if (!graphs || !(this.state.layers.inliers || this.state.layers.outliers)) return;
     const ends = { inliers: [], outliers: [] };
-    const given = this.manifest.poses[this.state.pose].inliers;
-    graphs.matches.forEach(([i, a], k) => {
+    graphs.matches.forEach(([i, a]) => {
       const moved = new THREE.Vector3(...graphs.source.nodes[i]).applyMatrix4(this.matrix);
       const fixed = new THREE.Vector3(...graphs.target.nodes[a]);
-      const agrees = given ? given[k] : moved.distanceTo(fixed) < graphs.inlier_distance;
+      const agrees = moved.distanceTo(fixed) < graphs.inlier_distance;
       moved.add(this.aside(1));
       ends[agrees ? 'inliers' : 'outliers'].push(...moved.toArray(), ...fixed.toArray());
     });
@@ -349,7 +348,7 @@ function connect(view) {
   apart.addEventListener('change', () => view.set({ apart: apart.checked }));
   if (!view.parts.inliers) matched.remove();
   matched.addEventListener('click', () => {
-    for (const box of [apart, ...all('[data-layer$=_nodes], [data-layer=inliers], [data-layer=outliers]')])
+    for (const box of [apart, ...all('[data-layer$=_nodes], [data-layer=inliers]')])
       if (!box.checked) box.click();
   });
   const pose = document.getElementById('pose');
