@@ -489,6 +489,14 @@ def replaced(config: Any, values: dict[str, Any]) -> Any:
     ConfigError
         For a name that does not exist, an earlier name of a parameter, or a value out of its type or bounds; the
         message names it. The profile of a whole configuration cannot be replaced: it is what the others started from.
+
+    Examples
+    --------
+    >>> replaced(profile(), {'scale.estimate_scale': False}).scale.estimate_scale
+    False
+    >>> replaced(profile(), {'icp.iterations': -1})
+    Traceback (most recent call last):
+    csgm_ros.errors.ConfigError: icp.iterations must lie in [0, 1000], not -1
     """
     renamed = [name for name in values if name in RENAMED]
     if renamed:

@@ -26,6 +26,15 @@ class Similarity:
         Proper rotation.
     translation : (3,) ndarray
         In target units; acts on the already scaled and rotated source.
+
+    Examples
+    --------
+    >>> quarter_turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    >>> transform = Similarity(2.0, quarter_turn, np.array([5.0, 0.0, 0.0]))
+    >>> transform.apply(np.array([[1.0, 0.0, 0.0]])).tolist()
+    [[5.0, 2.0, 0.0]]
+    >>> (transform.inverse() @ transform).matrix.tolist() == np.eye(4).tolist()
+    True
     """
 
     scale: float

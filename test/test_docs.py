@@ -1,6 +1,7 @@
 """What docs/ tells a reader to type is typed here, and must print what the page says; what it names must exist."""
 
 import doctest
+import importlib
 import re
 import shlex
 from pathlib import Path
@@ -15,6 +16,7 @@ PAGES = sorted(DOCS.glob('*.rst'))
 OTHERS = {'colmap', 'ros2', 'pip', 'cloudcompare', 'sbatch', 'dask'}  # programs that are not ours: told, not run
 LIVE = [['csgm', 'replay'], ['csgm', 'call'], ['csgm_node', '&']]  # run by test/ros, over a node that is there
 BLOCK = re.compile(r'^\.\. code-block:: console\n((?:\n|   .*\n)+)', re.MULTILINE)
+EXAMPLES = sorted(path for path in (DOCS.parent / 'csgm_ros').rglob('*.py') if '>>> ' in path.read_text())
 LINES = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
@@ -43,6 +45,14 @@ def test_every_command_of_a_page_does_what_the_page_says(page, tmp_path, monkeyp
         if told:
             checker = doctest.OutputChecker()
             assert checker.check_output(told + '\n', said.out, LINES), f'{shlex.join(words)} prints:\n{said.out}'
+
+
+@pytest.mark.parametrize('path', EXAMPLES, ids=lambda path: path.stem)
+def test_examples_of_docstrings_do_what_they_say(path):
+    module = importlib.import_module('.'.join(path.relative_to(DOCS.parent).with_suffix('').parts))
+    found = doctest.testmod(module, optionflags=LINES)
+    assert found.attempted
+    assert not found.failed
 
 
 def test_what_is_told_of_the_live_node_is_there():

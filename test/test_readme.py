@@ -1,14 +1,16 @@
 """What the README says is so: parameters and defaults, topics, commands, files."""
 
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from csgm_ros.cli.main import ROS_COMMANDS
+from csgm_ros.cli.main import ROS_COMMANDS, main
 from csgm_ros.config import Config, NodeConfig, flatten
+from csgm_ros.demo.simulation import simulate
 from csgm_ros.io.config_files import scalar
 
 ROOT = Path(__file__).parents[1]
@@ -22,6 +24,22 @@ def section(title):
 
 def test_the_direction_is_told_in_one_sentence():
     assert 'x_target = s R x_source + t' in TEXT
+
+
+def test_the_first_commands_register_and_show_a_pair(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    commands = re.findall(r'^\.venv/bin/csgm (.*?)\s*(?:#.*)?$', section('Two clouds in five minutes'), re.MULTILINE)
+    assert [main(shlex.split(command)) for command in commands] == [0, 0]
+    assert all((tmp_path / name).stat().st_size > 1e5 for name in ('fused.ply', 'report.html'))
+
+
+def test_the_example_in_python_registers():
+    made = simulate(0)
+    code = re.search(r'```python\n(.*?)```', section('From Python'), re.DOTALL)[1]
+    names = {'source': made.source, 'target': made.target.reshape(-1, 3)}
+    exec(code, names)
+    assert names['result'].accepted
+    assert names['moved'].shape == made.source.shape
 
 
 def test_parameters_and_their_defaults_are_those_of_the_configuration():

@@ -206,6 +206,9 @@ def _register(options) -> int:
         files.write(options.output, report.fused(source, target, result.transform))
     elif options.output:
         print(f'csgm: {options.output} is not written, as the result is rejected', file=sys.stderr)
+    written = [options.json, options.report, options.picture, options.output if result.accepted else None]
+    if any(written):
+        print(f'written: {", ".join(filter(None, written))}')
     return ACCEPTED if result.accepted else REJECTED
 
 

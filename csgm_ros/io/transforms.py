@@ -138,5 +138,15 @@ EXPORTS = {'colmap': _colmap, 'cloudcompare': _cloudcompare, 'ros': _ros, 'matla
 
 
 def export(transform: Similarity, kind: str) -> str:
-    """Return a transform the way another tool wants it; ``kind`` is a name of `EXPORTS`."""
+    """Return a transform the way another tool wants it; ``kind`` is a name of `EXPORTS`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> print(export(Similarity(2.0, np.eye(3), np.zeros(3)), 'cloudcompare'), end='')
+    2.0 0.0 0.0 0.0
+    0.0 2.0 0.0 0.0
+    0.0 0.0 2.0 0.0
+    0.0 0.0 0.0 1.0
+    """
     return EXPORTS[kind](transform)
