@@ -30,6 +30,7 @@ HYPOTHESIS_SOURCES = {
     'local': 'csgm_ros.transform.local_source:propose',
     'planes': 'csgm_ros.transform.planes:propose',
     'prior': 'csgm_ros.transform.prior_source:propose',
+    'volumes': 'csgm_ros.transform.volumes:propose',
 }
 
 
@@ -181,11 +182,12 @@ class HypothesesConfig(Checked):
         choices=('search', 'ransac'),
     )
     sources: tuple[str, ...] = param(
-        ('graph', 'local', 'planes'),
+        ('graph', 'local', 'planes', 'volumes'),
         'where the search gets its hypotheses, one source after the other while nothing is certain; graph: triples of '
         'matched nodes and of their next-best correspondences; local: triples of keypoints with similar FPFH; planes: '
-        'dominant planes on each other, then yaw, place and scale by correlation of layered occupancy; prior: near '
-        'what is expected, always asked where there is a prior',
+        'dominant planes on each other, then yaw, place and scale by correlation of layered occupancy; volumes: '
+        'directions of planes on each other, then turn and place by correlation of volumes, where the scale is given; '
+        'prior: near what is expected, always asked where there is a prior',
         choices=tuple(HYPOTHESIS_SOURCES),
     )
     correspondences: int = param(4, 'putative correspondences of each node or keypoint', low=1, high=50)

@@ -358,7 +358,7 @@ def _best(structures: StructurePair, view: View, config: Config) -> Evidence | N
     allowed = [evidence for evidence in view.measured if _allowed(evidence.transform, structures)]
     if not allowed:
         return None
-    if ladder.finalists is None:
+    if not ladder.finalists:
         best = max(allowed, key=lambda evidence: evidence.score)
     else:
         scores = ladder.scores([evidence.transform.matrix for evidence in allowed])
@@ -366,7 +366,7 @@ def _best(structures: StructurePair, view: View, config: Config) -> Evidence | N
     refined = view.measure(refine_best(best.transform, *view.surfaces, config, estimate_scale=scaled))
     if refined.score <= best.score or not _allowed(refined.transform, structures):
         return best
-    if ladder.finalists is not None and not ladder.alike(best.transform.matrix, refined.transform.matrix):
+    if ladder.finalists and not ladder.alike(best.transform.matrix, refined.transform.matrix):
         return best  # the correspondence distances are too wide for what the clouds show
     return refined
 
@@ -388,7 +388,7 @@ def _candidates(
     for name in ('prior', *sources) if structures.prior else sources:
         hypotheses = propose(name, structures, config.hypotheses, rng)
         clock.check()
-        if name == 'planes':  # searched and refined already, in lengths of their own
+        if name in ('planes', 'volumes'):  # searched and refined already, in lengths of their own
             view.measured += map(view.measure, map(Similarity.from_matrix, hypotheses))
         elif len(hypotheses):
             grids = grids or search_grids(structures, config.verification)

@@ -24,6 +24,8 @@ COMPARED = 2.0  # cells: at which length of structure the clouds are compared; p
 ASKED, MOST_ASKED = 1500, 6000  # cells
 NEIGHBORS = 12
 LEAST = 30  # cells with a normal, below which a cloud shows nothing
+FINALISTS = 6
+WIDE_GATES, FINE_GATES = (4.0, 3.0, 2.0, 1.5), (2.0, 1.2, 0.8)  # of the ICP, cells
 SAME = 2.0  # cells of mean displacement up to which two transforms are one
 PROBES = 60
 ITERATIONS = 5  # of ICP, per gate
@@ -41,15 +43,15 @@ class Ladder:
 
     Attributes
     ----------
-    finalists : (F, 4, 4) ndarray or None
-        What the search in these cells has found, best first; None before.
+    finalists : dict of str to (F, 4, 4) ndarray
+        What each search in these cells has found, by the name of the source, best first.
     """
 
     def __init__(self, source: np.ndarray, target: np.ndarray, seed: int):
         self._clouds, self._seed = (source, target), seed
         self._rungs: dict[int, Cells] = {}
         self._comparisons: dict[int, Comparison | None] = {}
-        self.finalists: np.ndarray | None = None
+        self.finalists: dict[str, np.ndarray] = {}
 
     @cached_property
     def source(self) -> Cells:
@@ -65,20 +67,36 @@ class Ladder:
             self._rungs[number] = cells(self._clouds[1], size, MOST, np.random.default_rng(self._seed))
         return self._rungs[number]
 
+    def best(self, starts: np.ndarray, *, estimate_scale: bool) -> np.ndarray:
+        """Return the best different ones (F, 4, 4) of (H, 4, 4) transforms, best first, refined in two rounds."""
+        if len(starts) == 0:
+            return starts
+        refined = self.refine(starts, WIDE_GATES, 500, fine=False, estimate_scale=estimate_scale)
+        scores = self.scores(refined)
+        kept = self.distinct(refined, np.argsort(-scores, kind='stable'), FINALISTS)
+        top, scores = refined[kept], scores[kept]
+        fine = self.refine(top, FINE_GATES, 2000, fine=True, estimate_scale=estimate_scale)
+        fine_scores = self.scores(fine)
+        better = fine_scores > scores
+        top[better], scores[better] = fine[better], fine_scores[better]
+        return top[np.argsort(-scores, kind='stable')]
+
     def scores(self, transforms: Iterable[np.ndarray]) -> np.ndarray:
         """Return how far the clouds agree (H,) under (H, 4, 4) transforms, see :class:`Comparison`."""
         return np.array([self._score(transform) for transform in transforms])
 
     def _score(self, transform: np.ndarray) -> float:
         number = _number(scale_of(transform))
-        if number not in self._comparisons:
-            self._comparisons[number] = self._comparison(number)
-        comparison, back = self._comparisons[number], RUNG**-number
+        comparison, back = self.comparison(number), RUNG**-number
         return comparison.agreement(transform @ np.diag([back, back, back, 1.0])).score if comparison else 0.0
 
-    def _comparison(self, number: int) -> Comparison | None:
-        """Return the clouds on one rung, the source enlarged to it; None where one of them shows nothing there."""
-        factor = RUNG**number
+    def comparison(self, number: int) -> Comparison | None:
+        """Return the clouds on a rung, the source enlarged to it; None where one of them shows nothing there."""
+        if number not in self._comparisons:
+            self._comparisons[number] = self._compared(RUNG**number)
+        return self._comparisons[number]
+
+    def _compared(self, factor: float) -> Comparison | None:
         rung = self.rung(factor)
         sides = [_known(factor * self.source.points, self.source.normals), _known(rung.points, rung.normals)]
         if min(len(points) for points, _ in sides) < LEAST:

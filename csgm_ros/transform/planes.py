@@ -22,8 +22,6 @@ PROMISING = 240  # places of the coarse look around which is looked finely
 MIN_CELLS = 500  # of the source; fewer have no layers
 MOST_SORTED = 3000
 CANDIDATES = 56  # different places that get a short ICP
-FINALISTS = 6
-WIDE_GATES, FINE_GATES = (4.0, 3.0, 2.0, 1.5), (2.0, 1.2, 0.8)  # of the ICP, cells
 PASS = 2 / 3  # of the frequencies are kept: the softened occupancy has no more
 
 
@@ -253,18 +251,7 @@ def finalists(ladder: Ladder, scales: np.ndarray, known: np.ndarray) -> np.ndarr
     estimate_scale = len(scales) > 1
     values, robust, transforms = correlate(ladder, scales)
     kept = ladder.distinct(transforms, _interleaved(values, robust)[:MOST_SORTED], CANDIDATES, distance=3.0)
-    starts = np.concatenate([known, transforms[kept]])
-    if len(starts) == 0:
-        return starts
-    refined = ladder.refine(starts, WIDE_GATES, 500, fine=False, estimate_scale=estimate_scale)
-    scores = ladder.scores(refined)
-    best = ladder.distinct(refined, np.argsort(-scores, kind='stable'), FINALISTS)
-    top, scores = refined[best], scores[best]
-    fine = ladder.refine(top, FINE_GATES, 2000, fine=True, estimate_scale=estimate_scale)
-    fine_scores = ladder.scores(fine)
-    better = fine_scores > scores
-    top[better], scores[better] = fine[better], fine_scores[better]
-    return top[np.argsort(-scores, kind='stable')]
+    return ladder.best(np.concatenate([known, transforms[kept]]), estimate_scale=estimate_scale)
 
 
 def propose(pair: StructurePair, config: HypothesesConfig, rng: np.random.Generator) -> np.ndarray:
@@ -272,8 +259,8 @@ def propose(pair: StructurePair, config: HypothesesConfig, rng: np.random.Genera
     ladder = pair.ladder
     if len(ladder.source.points) < MIN_CELLS:
         return np.empty((0, 4, 4))
-    if ladder.finalists is None:
+    if 'planes' not in ladder.finalists:
         low, high = np.log(pair.wide_scales)
         scales = np.exp(np.arange(low, high + STEP, STEP)) if high > low else np.exp([low])
-        ladder.finalists = finalists(ladder, scales, pair.found())
-    return ladder.finalists
+        ladder.finalists['planes'] = finalists(ladder, scales, pair.found())
+    return ladder.finalists['planes']
