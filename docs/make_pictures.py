@@ -42,11 +42,6 @@ def main():
     off = result.transform.apply(source.points) - _rigid(truth)(source.points)
     print(f'{np.linalg.norm(off, axis=1).mean():.3f} m off')
     graphs = result.source_graph, result.target_graph
-    for graph, inliers, matches in (
-        ('guided', result.match_inliers, result.matches),
-        ('unguided', result.unguided_inliers, result.unguided_matches),
-    ):
-        print(f'{graph}: {inliers.sum()} of {len(matches)} matches agree')
     view = _view(target.points)
     structures = result.details.structures
     sides = [
@@ -66,8 +61,10 @@ def main():
             for name, points, colors, graph in zip(('source', 'target'), shown, cut, graphs, strict=True)
         ],
     )
-    with_graphs(shown, graphs, view, result)
+    laid_out = beside(shown, graphs, view, result)
+    with_graphs(*laid_out, graphs)
     affinities(result.details.graphs)
+    with_matches(laid_out[1], graphs, result)
     hypotheses(source, target, result, view)
     moved = result.transform.apply(source.points)
     save('6_slices', slices(moved, target.points, SIZE))
@@ -93,37 +90,61 @@ def dots(points, colors, view):
     )
 
 
-def with_graphs(shown, graphs, view, result):
-    """Draw both graphs beside each other and the matches between them, before and after the transform is known."""
-    moved = Similarity(1.0, result.transform.rotation, np.zeros(3))
-    nodes = [moved.apply(graphs[0].nodes) @ view.T, graphs[1].nodes @ view.T]
+def beside(shown, graphs, view, result):
+    """Lay voxels and nodes of both clouds out beside each other, as seen from one side: two lists of (n, 2)."""
+    nodes = [Similarity(1.0, result.transform.rotation, np.zeros(3)).apply(graphs[0].nodes), graphs[1].nodes]
     clouds = [points @ view.T for points in shown]
-    width = max(np.ptp(cloud[:, 0]) for cloud in clouds)
-    figure, axes = pyplot.subplots(1, 2, figsize=(11, 3.6), dpi=80)
-    for axis, (title, pairs, inliers) in zip(
+    width = 1.1 * max(np.ptp(cloud[:, 0]) for cloud in clouds)
+    at = [np.array([width * k, 0.0]) - np.median(cloud[:, :2], axis=0) for k, cloud in enumerate(clouds)]
+    return (
+        [cloud[:, :2] + shift for cloud, shift in zip(clouds, at, strict=True)],
+        [points @ view[:2].T + shift for points, shift in zip(nodes, at, strict=True)],
+    )
+
+
+def plain(axis, title):
+    """Take what a picture does not need off an axis."""
+    axis.set_title(title, fontsize=9)
+    axis.invert_yaxis()
+    axis.set_aspect('equal')
+    axis.set_axis_off()
+
+
+def edges_of(axis, points, graph, tint, alpha):
+    """Draw nodes and edges."""
+    axis.add_collection(LineCollection(points[np.sort(graph.edges, axis=1)], colors=[(*tint, alpha)], lw=0.8))
+    axis.scatter(*points.T, s=9, color=tint, zorder=2)
+
+
+def with_graphs(clouds, nodes, graphs):
+    """Draw both graphs over their voxels."""
+    figure, axis = pyplot.subplots(figsize=(11, 4.2), dpi=80, layout='constrained')
+    for cloud, points, graph, tint in zip(clouds, nodes, graphs, (SOURCE_TINT, TARGET_TINT), strict=True):
+        axis.scatter(*cloud.T, s=4, color='#dddddd', lw=0)
+        edges_of(axis, points, graph, tint, 0.6)
+    plain(axis, ', '.join(f'{len(graph.nodes)} nodes and {len(graph.edges) // 2} edges' for graph in graphs))
+    written(figure, '3_graphs')
+
+
+def with_matches(nodes, graphs, result):
+    """Draw the matches between both graphs, before and after the transform is known."""
+    figure, axes = pyplot.subplots(1, 2, figsize=(11, 3.2), dpi=80, layout='constrained')
+    unguided = result.unguided_matches, result.unguided_inliers
+    for axis, title, (pairs, inliers) in zip(
         axes,
         (
-            ('matched without the transform', result.unguided_matches, result.unguided_inliers),
-            ('matched under the transform', result.matches, result.match_inliers),
+            f'matched without the transform: {unguided[1].sum()} of {len(unguided[0])} agree',
+            f'matched under the transform: {len(result.matches)} of {len(graphs[0].nodes)} nodes',
         ),
+        (unguided, (result.matches, result.match_inliers)),
         strict=True,
     ):
-        placed = []
-        for k, (cloud, points, graph, tint) in enumerate(
-            zip(clouds, nodes, graphs, (SOURCE_TINT, TARGET_TINT), strict=True)
-        ):
-            at = np.array([1.15 * width * k, 0.0]) - cloud[:, :2].mean(axis=0)
-            points = points[:, :2] + at
-            placed.append(points)
-            axis.add_collection(LineCollection(points[np.sort(graph.edges, axis=1)], colors=[(*tint, 0.25)], lw=0.6))
-            axis.scatter(*points.T, s=5, color=tint)
+        for points, graph, tint in zip(nodes, graphs, (SOURCE_TINT, TARGET_TINT), strict=True):
+            edges_of(axis, points, graph, tint, 0.2)
         for (i, a), agrees in zip(pairs, inliers, strict=True):
-            axis.plot(*np.array([placed[0][i], placed[1][a]]).T, lw=0.6, color='#2a2' if agrees else '#c33', alpha=0.7)
-        axis.set_title(f'{title}: {inliers.sum()} of {len(pairs)} agree', fontsize=9)
-        axis.invert_yaxis()
-        axis.set_aspect('equal')
-        axis.set_axis_off()
-    written(figure, '3_graphs')
+            axis.plot(*np.array([nodes[0][i], nodes[1][a]]).T, lw=0.7, color='#2a2' if agrees else '#c33', alpha=0.7)
+        plain(axis, title)
+    written(figure, '4_matches')
 
 
 def affinities(graphs):

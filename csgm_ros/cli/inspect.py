@@ -26,7 +26,7 @@ LARGEST_VOXEL = parameter_fields(SupervoxelConfig)['voxel_size'].metadata['high'
 SAMPLES = 5000  # points whose neighbours are asked
 CELLS, MOST_CELLS = 4000, 40_000
 ON_PLANE = 1.5  # cells
-OTHER_DIRECTION = 30.0  # degrees between the normals of planes that hold a pose in different directions
+LOOSE = 0.005  # of the surface: held by less along some direction, a cloud slides there (corridors, walls, pipes do)
 FEW_NODES = 15
 FAR = 20.0  # radii from the origin, beyond which coordinates are those of a map
 SENSOR_RANGE = 0.3, 300.0  # radius of what a depth sensor or lidar sees, metres
@@ -50,8 +50,11 @@ class Inspection:
         The unit and why.
     planes : tuple of float
         Shares of the surface on its dominant planes.
-    directions : int
-        In how many directions these face.
+    held : float
+        How much of the surface stops the cloud from sliding along the direction held least: the mean squared cosine of
+        the normals with it. 1/3 where all directions are held alike, 0 along a corridor without ends.
+    loosest : (3,) ndarray
+        That direction.
     pattern : Pattern
     variation : float
         Surface variation at an even density.
@@ -69,7 +72,8 @@ class Inspection:
     metric: bool | None
     unit: str
     planes: tuple[float, ...]
-    directions: int
+    held: float
+    loosest: np.ndarray
     pattern: Pattern
     variation: float
     supervoxels: Supervoxels | None
@@ -115,7 +119,7 @@ def inspect_parts(parts: Iterable[np.ndarray], rows: int) -> Inspection:
     inner = without_extremes(whole)
     length = radius(inner)
     found = pattern(distinct if seen.drawn is seen.places else seen.drawn, spacings)
-    shares, directions = _planes(inner)
+    shares, held, loosest = _planes(inner)
     metric, unit = _unit(distinct, length, found)
     return Inspection(
         total=seen.total,
@@ -128,7 +132,8 @@ def inspect_parts(parts: Iterable[np.ndarray], rows: int) -> Inspection:
         metric=metric,
         unit=unit,
         planes=shares,
-        directions=directions,
+        held=held,
+        loosest=loosest,
         pattern=found,
         variation=surface_variation(even(inner, length)),
         supervoxels=_supervoxels(inner, length),
@@ -149,7 +154,8 @@ def description(found: Inspection) -> str:
         f'unit     {found.unit}',
         f'spacing  {found.spacing:.4g} (median distance to the nearest neighbour) = {ratio:.4f} radii',
         f'pattern  {how.format(*found.pattern.size)}',
-        f'planes   {planes} of the surface; they face {found.directions} directions',
+        f'planes   {planes} of the surface',
+        f'held     {found.held:.3f} along {vector(found.loosest)}, where least of it stops a slide; 1/3 is even',
         f'noise    {found.noise:.3g} off the local plane; surface variation {found.variation:.2f}, 0 flat, 1 none',
         f'voxel    supervoxels.voxel_size {default:g} is {default * found.radius:.4g} in the unit of this cloud',
         f'nodes    about {found.nodes} supervoxels with the default parameters',
@@ -183,11 +189,13 @@ def expectation(source: Inspection, target: Inspection) -> str:
     ratio = (source.spacing / source.radius) / (target.spacing / target.radius)
     name, times = ('source', ratio) if ratio > 1 else ('target', 1 / ratio)
     lines.append(f'density  the {name} is {times:.1f} times as sparse for its size: it decides what can be told apart')
-    if min(source.directions, target.directions) < 3:
-        lines.append('expect   ambiguous: planes of fewer than three directions let a cloud slide')
+    name, loose = min(('source', source), ('target', target), key=lambda each: each[1].held)
+    if loose.held < LOOSE:
+        lines.append(f'expect   ambiguous: next to nothing stops a slide along {vector(loose.loosest)} of the {name}')
     limit = config.preprocess.max_surface_variation
     if max(source.variation, target.variation) > limit:
-        lines.append(f'expect   several attempts: one is rougher than preprocess.max_surface_variation ({limit:g})')
+        rough = f'one is rougher than preprocess.max_surface_variation ({limit:g})'
+        lines.append(f'expect   attempts on smoothed clouds, where the first is not certain: {rough}')
     if min(source.nodes, target.nodes) < FEW_NODES:
         lines.append('expect   little from the graph: a cloud of so few supervoxels has none worth matching')
     return '\n'.join([*lines, 'overlap  cannot be told before; a fifth of the larger cloud is about the least'])
@@ -214,20 +222,24 @@ def _multiples(points: np.ndarray, quantum: float) -> bool:
     return bool((np.abs(values - np.round(values)) < 1e-6 * np.maximum(1.0, np.abs(values))).mean() > 0.999)
 
 
-def _planes(points: np.ndarray) -> tuple[tuple[float, ...], int]:
-    """Return the share of the surface on each dominant plane, and how many directions they face."""
+def vector(direction: np.ndarray) -> str:
+    """Return a direction of either sign as text, its largest component positive."""
+    return '({:.2f}, {:.2f}, {:.2f})'.format(*(direction * np.sign(direction[np.argmax(np.abs(direction))]) + 0.0))
+
+
+def _planes(points: np.ndarray) -> tuple[tuple[float, ...], float, np.ndarray]:
+    """Return the share of the surface on each dominant plane, and how much holds which direction least."""
     if len(points) < MIN_POINTS:
-        return (), 0
+        return (), 0.0, np.array([1.0, 0.0, 0.0])
     size = working_size(points, CELLS)
     occupied = cells(points, size, MOST_CELLS, np.random.default_rng(0))
     shares: list[float] = []
-    facing: list[np.ndarray] = []
     for plane in occupied.planes:
         near = np.abs((occupied.points - plane.point) @ plane.normal) < ON_PLANE * size
         shares.append(float((near & (np.abs(occupied.normals @ plane.normal) > 0.85)).mean()))
-        if all(abs(plane.normal @ other) < np.cos(np.radians(OTHER_DIRECTION)) for other in facing):
-            facing.append(plane.normal)
-    return tuple(shares), len(facing)
+    normals = occupied.normals[occupied.normals.any(axis=1)]
+    held, directions = np.linalg.eigh(normals.T @ normals / max(len(normals), 1))
+    return tuple(shares), float(max(held[0], 0.0)), directions[:, 0]
 
 
 def _supervoxels(points: np.ndarray, length: float) -> Supervoxels | None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from csgm_ros.cli.inspect import description, expectation, inspect
+from csgm_ros.cli.inspect import LOOSE, description, expectation, inspect
 from csgm_ros.errors import DegenerateCloudError
 
 
@@ -74,11 +74,23 @@ def test_the_unit_is_guessed_from_what_exporters_leave(change, metric, why):
 def test_planes_and_noise_are_those_of_the_room():
     rng = np.random.default_rng(2)
     found = inspect(room(rng))
-    assert found.directions == 3
+    assert found.held > 0.2
     assert sum(found.planes) > 0.85
     assert 0.0003 < found.noise < 0.0015
     floor = np.column_stack([rng.random((3000, 2)), np.zeros(3000)])
-    assert inspect(floor).directions == 1
+    assert inspect(floor).held < 0.001
+
+
+def test_a_corridor_is_held_but_along_its_length():
+    rng = np.random.default_rng(4)
+    points = rng.random((8000, 3)) * (12.0, 2.0, 2.5)
+    points[::2, 2] = 0.0
+    points[1::4, 1], points[3::4, 1] = 0.0, 2.0
+    found = inspect(points + rng.normal(0, 5e-3, points.shape))
+    assert found.held < LOOSE
+    assert abs(found.loosest[0]) > 0.99
+    door = rng.random((300, 3)) * (0.0, 0.9, 2.0) + (6.0, 0.0, 0.0)  # that stands open
+    assert inspect(np.concatenate([points, door])).held > LOOSE
 
 
 def test_a_pair_is_told_its_scale_and_what_will_be_hard():
@@ -89,4 +101,4 @@ def test_a_pair_is_told_its_scale_and_what_will_be_hard():
     assert 'estimate_scale' not in text  # the smaller one is metric by the same guess only if its reach is a sensor's
     assert '--set scale.estimate_scale=false' in expectation(inspect(target), inspect(target))
     floor = np.column_stack([rng.random((3000, 2)), np.zeros(3000)])
-    assert 'let a cloud slide' in expectation(inspect(floor), inspect(target))
+    assert 'stops a slide' in expectation(inspect(floor), inspect(target))
