@@ -65,6 +65,18 @@ def test_what_is_told_of_the_live_node_is_there():
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
+def test_options_that_a_page_names_are_there(page, capsys):
+    for command in re.findall(r'``(csgm [^`]+)``', page.read_text()):
+        words = command.split()[1:]
+        parts = words[: 2 if words[0] == 'batch' and words[1:2] in (['report'], ['align']) else 1]
+        with pytest.raises(SystemExit) as ended:
+            main([*parts, '--help'])
+        assert ended.value.code == 0, command
+        there = capsys.readouterr().out
+        assert [option for option in words if option.startswith('-') and option not in there] == [], command
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
 def test_parameters_that_a_page_names_are_there(page):
     known = set(flatten(Config())) | set(flatten(NodeConfig()))
     parts = {name.partition('.')[0] for name in known if '.' in name}
