@@ -128,8 +128,9 @@ def _conclude(made: Walk, found: Told, folder: Path, say: Narrator) -> int:
     wrong = complaints(made, found)
     first = made.stamps[found.given][0] if found.given.any() else np.nan
     seen = ~made.blocked & (made.stamps >= first)
-    caption = f'{found.given.sum()} of {seen.sum()} frames since the first pose at {first:.1f} s have one'
+    caption = 'no pose was given out'
     if found.given.any():
+        caption = f'{found.given.sum()} of {seen.sum()} frames since the first pose at {first:.1f} s have one'
         caption += (
             f'; error: median {100 * np.nanmedian(found.metres):.1f} cm, largest {100 * np.nanmax(found.metres):.1f} cm'
             f' and {np.nanmax(found.degrees):.1f} deg'

@@ -65,9 +65,9 @@ def draw_paths(
     beside.set(xlabel='time, s', ylabel='distance from the truth, cm', title='grey: lost, nothing is given out')
     beside.set_ylim(bottom=0.0)
     above.set(xlabel='m', ylabel='m', aspect='equal', title='the map from photos, from above')
-    above.legend(loc='lower right', fontsize=9)
+    above.legend(loc='upper center', bbox_to_anchor=(0.5, -0.1), ncols=3, fontsize=9, frameon=False)
     figure.text(0.5, 0.015, caption, ha='center', fontsize=10, color='#333333', family='monospace')
-    figure.subplots_adjust(left=0.06, right=0.98, top=0.93, bottom=0.14, wspace=0.16)
+    figure.subplots_adjust(left=0.06, right=0.98, top=0.93, bottom=0.18, wspace=0.16)
     with replacing(path) as file:
         figure.savefig(file, format='png')
     pyplot.close(figure)

@@ -36,7 +36,7 @@ def before_after(path: str | Path, source: CloudFile, target: CloudFile, transfo
     source, target = finite(source), finite(target)
     moved = CloudFile(transform.apply(source.points), source.colors)
     meeting = [_within(cloud, *common(moved.points, target.points)) for cloud in (target, moved)]
-    tinted = [_tinted(meeting[0], TARGET_TINT), _tinted(meeting[1], SOURCE_TINT)]
+    laid = [_tinted(meeting[0], TARGET_TINT), _tinted(meeting[1], SOURCE_TINT)]
     title, came = 'before: both as they came, source orange, target blue', source
     frames = frame_of(source.points), frame_of(target.points)
     if not seen_together(frames[1] @ frames[0].inverse()):
@@ -49,8 +49,8 @@ def before_after(path: str | Path, source: CloudFile, target: CloudFile, transfo
         ('before: the source, in a unit and pose of its own', [source], upright(source.points)),
         ('before: the target', [target], oblique),
         (title, raw, oblique),
-        ('after: the source on the target', tinted, oblique),
-        ('after, from above', tinted, above),
+        ('after: the source on the target', laid, oblique),
+        ('after, from above', laid, above),
         ('after, in their own colours', meeting, oblique),
     ]
     drawn = [(title, draw(clouds, view)) for title, clouds, view in panels]
@@ -146,9 +146,7 @@ def draw(clouds: list[CloudFile], view: np.ndarray, size: tuple[int, int] = (430
         In [0, 1].
     """
     points = np.concatenate([cloud.points for cloud in clouds]) @ view.T
-    colors = np.concatenate(
-        [_tinted(cloud, TARGET_TINT).colors if cloud.colors is None else cloud.colors for cloud in clouds]
-    )
+    colors = np.concatenate([shades(cloud, TARGET_TINT) if cloud.colors is None else cloud.colors for cloud in clouds])
     low, high = _span(points)
     height, width = size
     step = max((high[0] - low[0]) / (width - 20), (high[1] - low[1]) / (height - 20), 1e-12)
@@ -196,10 +194,14 @@ def _within(cloud: CloudFile, low: np.ndarray, high: np.ndarray) -> CloudFile:
     return CloudFile(cloud.points[keep], None if cloud.colors is None else cloud.colors[keep])
 
 
-def _tinted(cloud: CloudFile, tint: tuple[float, float, float]) -> CloudFile:
-    """Give a cloud one colour, its own brightness kept a little where it has one."""
+def shades(cloud: CloudFile, tint: tuple[float, float, float]) -> np.ndarray:
+    """Return the (N, 3) colours of a cloud in one tint, its own brightness kept a little where it has one."""
     brightness = 0.8 if cloud.colors is None else 0.55 + 0.6 * cloud.colors.mean(axis=1, keepdims=True)
-    return CloudFile(cloud.points, np.clip(np.tile(tint, (len(cloud.points), 1)) * brightness, 0, 1))
+    return np.clip(np.tile(tint, (len(cloud.points), 1)) * brightness, 0, 1)
+
+
+def _tinted(cloud: CloudFile, tint: tuple[float, float, float]) -> CloudFile:
+    return CloudFile(cloud.points, shades(cloud, tint))
 
 
 def turned(view: np.ndarray, yaw: float, pitch: float) -> np.ndarray:

@@ -14,12 +14,13 @@ from csgm_ros.errors import InputError
 from csgm_ros.io.cloud_file import CloudFile
 from csgm_ros.io.results import SOURCE_TINT, TARGET_TINT
 from csgm_ros.types import Similarity
-from csgm_ros.visual.pictures import finite
+from csgm_ros.visual.pictures import finite, shades, turned, upright
 from csgm_ros.visual.slices import frame_of
 
 KEYS = 'B before and after, S source, T target, C their own colours, H all other keys, Q quit'
 BEFORE, AFTER = 0, 1
 POINT_SIZE = 2.0
+ZOOM = 0.6  # Open3D's own leaves a third of the window empty on every side
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +32,13 @@ class Views:
     sources : (CloudFile, CloudFile)
         The source before, its middle and size matched with the target's, and after.
     target : CloudFile
+    sides : (3, 3) ndarray
+        Rows: what is right, down and away from the eye at first.
     """
 
     sources: tuple[CloudFile, CloudFile]
     target: CloudFile
+    sides: np.ndarray
 
 
 def views(source: CloudFile, target: CloudFile, transform: Similarity) -> Views:
@@ -43,7 +47,9 @@ def views(source: CloudFile, target: CloudFile, transform: Similarity) -> Views:
     frame = frame_of(target.points)
     poses = frame_of(source.points), frame @ transform
     before, after = (CloudFile(pose.apply(source.points), source.colors) for pose in poses)
-    return Views((before, after), CloudFile(frame.apply(target.points), target.colors))
+    return Views(
+        (before, after), CloudFile(frame.apply(target.points), target.colors), turned(upright(target.points), 28, 22)
+    )
 
 
 def view(
@@ -122,7 +128,7 @@ def _in_open3d(shown: Views, title: str, on_frame: Callable | None) -> None:
     def refresh() -> bool:
         for key, cloud, tint in (('S', shown.sources[options['pose']], SOURCE_TINT), ('T', shown.target, TARGET_TINT)):
             count = len(cloud.points) if options[key] else 0
-            own = cloud.colors if options['own'] and cloud.colors is not None else np.tile(tint, (count, 1))
+            own = cloud.colors if options['own'] and cloud.colors is not None else shades(cloud, tint)
             drawn[key].points = open3d.utility.Vector3dVector(cloud.points[:count])
             drawn[key].colors = open3d.utility.Vector3dVector(own[:count])
             window.update_geometry(drawn[key])
@@ -139,6 +145,10 @@ def _in_open3d(shown: Views, title: str, on_frame: Callable | None) -> None:
     for cloud in drawn.values():
         window.add_geometry(cloud)
     window.get_render_option().point_size = POINT_SIZE
+    control = window.get_view_control()
+    control.set_front(-shown.sides[2])
+    control.set_up(-shown.sides[1])
+    control.set_zoom(ZOOM)
     for key, name in (('B', 'pose'), ('S', 'S'), ('T', 'T'), ('C', 'own')):
         window.register_key_callback(ord(key), switch(name))
     if on_frame is None:
