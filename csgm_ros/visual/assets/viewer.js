@@ -5,7 +5,7 @@
 
 const FRAME = 40; // milliseconds that a frame may take while something moves
 const REST = 180; // milliseconds of stillness after which everything is drawn
-const APART = 2.2; // widths of both clouds from which the two are seen beside each other
+const APART = 2.7; // widths of both clouds from which the two are seen beside each other
 const FEW = 300000; // points of both clouds below which they are drawn larger than two pixels
 const GLIDE = 500; // milliseconds from one pose to another
 const MODES = { tint: 0, own: 1, error: 2, supervoxels: 3 };
