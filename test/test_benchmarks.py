@@ -339,3 +339,15 @@ def test_a_command_writes_its_table(tmp_path):
     assert result.returncode == 0, result.stderr
     assert '| csgm | 1 |' in (tmp_path / 'database_c.md').read_text()
     assert len(harness.read_rows(tmp_path / 'database_c.csv')) == 1
+
+
+def test_sections_that_no_benchmark_wrote_stay_when_one_is_measured_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(tables, 'FOLDER', tmp_path)
+    monkeypatch.setattr(tables, 'RESULTS', tmp_path)
+    (tmp_path / 'RESULTS.md').write_text('# Results\n\n## ESF\n\nold\n\n## By hand\n\nkept\n')
+    (tmp_path / 'esf.md').write_text('## ESF\n\nnew\n')
+    for _ in range(2):
+        tables.collect()
+        text = (tmp_path / 'RESULTS.md').read_text()
+        assert [line for line in text.splitlines() if line in ('old', 'new', 'kept')] == ['new', 'kept']
+        assert text.count('## ') == 2
