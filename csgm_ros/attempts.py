@@ -41,7 +41,7 @@ def schedule(pair: NormalizedPair, config: Config) -> Iterator[Attempt]:
         yield from (Attempt(smoothing=count) for count in config.preprocess.smoothing if count <= most)
     if config.scale.estimate_scale:
         relatives = config.hypotheses.relative_scales
-        yield from (Attempt(relative=relative) for relative in relatives)
+        yield from (Attempt(relative=relative) for relative in relatives if relative != 1.0)
 
 
 def _surface_variation(pair: NormalizedPair) -> float:

@@ -202,7 +202,10 @@ class HypothesesConfig(Checked):
         high=100.0,
     )
     relative_scales: tuple[float, ...] = param(
-        (0.6, 1.6), 'lengths tried, relative to the configured ones, while no result is certain', low=0.05, high=20.0
+        (0.6, 1.6),
+        'lengths tried, relative to the configured ones, while no result is certain; 1 adds none',
+        low=0.05,
+        high=20.0,
     )
     trials: int = param(1000000, 'minimal samples (triples) drawn per source', low=100, high=100000000)
     limit: int = param(10000, 'hypotheses kept per relative scale and source', low=10, high=1000000)

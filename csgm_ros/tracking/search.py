@@ -14,10 +14,15 @@ from csgm_ros.registration import register
 from csgm_ros.tracking.evidence import Evidence
 from csgm_ros.tracking.localization import Localizer, Place, Submap, scale_of, scaling
 from csgm_ros.tracking.maps import PreparedMap
-from csgm_ros.types import Prior, Similarity
+from csgm_ros.types import Prior, RegistrationResult, Similarity, Verdict
 
 TURNS = 700  # tried about a pose that is roughly known: with 90 degrees of freedom, 15 to 20 degrees apart
 STANDING_OUT = 1.35  # score over that of the next different place, for a place near the prior
+CERTAIN = 3.0  # that times the margin of the verdict: what the views say is other evidence than what two clouds say ...
+LEAST_LEAD, MOST_LEAD = 1.2, 2.7  # ... but neither speaks alone, and it may be that little was found to compare with
+AGREEING = 0.8  # share of the map in view that is seen
+MARGIN = 'verification.min_margin'
+ONE_ATTEMPT = {'hypotheses.relative_scales': (1.0,), 'preprocess.max_surface_variation': 1.0}  # new frames tell more
 SIGMA = 1.0, 45.0, 0.05  # of a sensor that was lost where it was last seen: metres, degrees, relative scale
 
 
@@ -69,22 +74,51 @@ def search(
     known = query.scale is not None
     if query.prior is not None and known:
         near = localizer.best(localizer.promising(around(query, rng)), fixed_scale=True)
-        if near and _stands_out(near) and _enough(localizer.seen(near[0].matrix), query):
+        if near and _lead(near) >= STANDING_OUT and _enough(localizer.seen(near[0].matrix), query):
             return Found(near[0].matrix, 'near where it was expected')
     if not query.wide:
         return Found(None, 'not near where it was expected')
     points = query.submap.levels[0].points * (query.scale if known else 1.0)
     threads = config.threads or max((os.cpu_count() or 1) - 1, 1)  # frames keep coming meanwhile
-    config = replaced(config, {'scale.estimate_scale': not known, 'threads': threads})
+    config = replaced(config, {'scale.estimate_scale': not known, 'threads': threads, **ONE_ATTEMPT})
+    unit = scaling(1.0 if query.scale is None else query.scale, np.zeros(3))
     for prior in (None,) if known or query.prior is None else (of_submap(query), None):
-        result = register(points, prepared.points, config, seed=seed, on_progress=progress, prior=prior)
-        if result.accepted:
+        result = register(points, prepared.points, config, seed=seed, on_progress=progress, details=True, prior=prior)
+        found = _judged(result, unit, localizer, query)
+        if found.matrix is not None:
             break
-    matrix = result.T_target_source @ scaling(1.0 if query.scale is None else query.scale, np.zeros(3))
-    best = localizer.best(matrix[None], fixed_scale=known)
-    if best and (result.accepted or _enough(localizer.seen(best[0].matrix), query)):
-        return Found(best[0].matrix, result.reason if result.accepted else 'as close as where it was tracked')
-    return Found(None, result.reason)
+    return found
+
+
+def _judged(result: RegistrationResult, unit: np.ndarray, localizer: Localizer, query: Query) -> Found:
+    """Let the views judge what was found and what competed with it.
+
+    They know more than a verdict on two clouds does: what a sensor looked through is empty.
+    """
+    competing = result.details.hypotheses if result.details else ()
+    matrices = np.stack([result.T_target_source, *(each.transform.matrix for each in competing)]) @ unit
+    places = localizer.best(matrices, fixed_scale=query.scale is not None)
+    if not places:
+        return Found(None, result.reason)
+    best, lead = places[0], _lead(places)
+    if _enough(localizer.seen(best.matrix), query):
+        return Found(best.matrix, 'as close as where it was tracked')
+    if certain(lead, best.evidence, result.verdict):
+        return Found(best.matrix, f'what the sensor saw fits {lead:.1f} times as well as elsewhere; {result.reason}')
+    return Found(None, f'what the sensor saw fits elsewhere {1 / lead:.2f} times as well; {result.reason}')
+
+
+def certain(lead: float, evidence: Evidence, verdict: Verdict) -> bool:
+    """Tell whether a place is right, of which views and verdict say how much better it is than a different one."""
+    doubted = any(not term.passed for term in verdict.terms if term.parameter != MARGIN)
+    both = min(lead, MOST_LEAD) * verdict.margin
+    return (
+        not doubted
+        and both >= CERTAIN
+        and lead >= LEAST_LEAD
+        and verdict.margin >= 1.0
+        and evidence.agreement >= AGREEING
+    )
 
 
 def of_submap(query: Query) -> Prior:
@@ -117,9 +151,11 @@ def expected(matrix: np.ndarray) -> Prior:
     return Prior(Similarity.from_matrix(matrix), (SIGMA[0] * scale_of(matrix), *SIGMA[1:]))
 
 
-def _stands_out(places: list[Place]) -> bool:
-    """Tell whether the best of the different places is much better than the next."""
-    return len(places) < 2 or places[0].evidence.score >= STANDING_OUT * places[1].evidence.score
+def _lead(places: list[Place]) -> float:
+    """Return the score of the best of the different places over that of the next."""
+    if len(places) < 2:
+        return np.inf
+    return places[0].evidence.score / max(places[1].evidence.score, 1e-9)
 
 
 def _enough(evidence: Evidence, query: Query) -> bool:
