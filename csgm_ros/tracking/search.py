@@ -17,6 +17,7 @@ from csgm_ros.tracking.maps import PreparedMap
 from csgm_ros.types import Prior, RegistrationResult, Similarity, Verdict
 
 TURNS = 700  # tried about a pose that is roughly known: with 90 degrees of freedom, 15 to 20 degrees apart
+LIKELY = 150  # of them that are tried first
 STANDING_OUT = 1.35  # score over that of the next different place, for a place near the prior
 CERTAIN = 3.0  # that times the margin of the verdict: what the views say is other evidence than what two clouds say ...
 LEAST_LEAD, MOST_LEAD = 1.2, 2.7  # ... but neither speaks alone, and it may be that little was found to compare with
@@ -73,9 +74,11 @@ def search(
     localizer = Localizer(query.submap, prepared, rng)
     known = query.scale is not None
     if query.prior is not None and known:
-        near = localizer.best(localizer.promising(around(query, rng)), fixed_scale=True)
-        if near and _lead(near) >= STANDING_OUT and _enough(localizer.seen(near[0].matrix), query):
-            return Found(near[0].matrix, 'near where it was expected')
+        hypotheses = around(query, rng)
+        for some in (hypotheses[:LIKELY], hypotheses[LIKELY:]):
+            near = localizer.best(localizer.promising(some, 6), 3, fixed_scale=True)
+            if near and _lead(near) >= STANDING_OUT and _enough(localizer.seen(near[0].matrix), query):
+                return Found(near[0].matrix, 'near where it was expected')
     if not query.wide:
         return Found(None, 'not near where it was expected')
     points = query.submap.levels[0].points * (query.scale if known else 1.0)
