@@ -23,6 +23,7 @@ from csgm_ros.types import rotation_angle
 ON_MAP, OFF_MAP, BLOCKED = 1, 2, 3
 RESULTS = Path(__file__).resolve().parent / 'results'
 RIGHT = 0.10, 5.0, 0.06  # the rule of the data: metres, degrees, relative scale
+CLEAR = 1.5  # seconds
 WRONG = 0.20, 10.0
 MIN_POINTS = 200
 
@@ -167,8 +168,11 @@ def calibration(sequence: Sequence, given) -> list[float]:
 
 
 def starts(sequence: Sequence, count: int, rng: np.random.Generator, longest: float = 3.0) -> dict[str, object]:
-    """Localise from random starts on the map, with no more than ``longest`` seconds of frames."""
-    on_map = np.flatnonzero(sequence.state == ON_MAP)
+    """Localise from random starts on the map, with no more than ``longest`` seconds of frames.
+
+    Starts are drawn among the frames that :data:`CLEAR` seconds on the map follow: a place is sought after one second.
+    """
+    on_map = np.array([n for n in np.flatnonzero(sequence.state == ON_MAP) if _clear(sequence, n) >= CLEAR])
     right = wrong = 0
     prepared = prepare_map(sequence.map)
     work, waited = [], []
@@ -188,10 +192,27 @@ def starts(sequence: Sequence, count: int, rng: np.random.Generator, longest: fl
         right, wrong = right + (verdict is True), wrong + (verdict is False)
         work.append(seconds)
     n = len(work)
-    return {'sequence': sequence.name, 'starts': n, 'right': right, 'wrong': wrong, 'none': n - right - wrong} | {
+    return {
+        'sequence': sequence.name,
+        'frames to start from': len(on_map),
+        'starts': n,
+        'right': right,
+        'wrong': wrong,
+        'none': n - right - wrong,
+    } | {
         'work median s': float(np.median(work)),
         'frames used median s': float(np.median(waited)) if waited else None,
     }
+
+
+def _clear(sequence: Sequence, first: int) -> float:
+    """Return for how many seconds from a frame on the sensor sees the map without a break."""
+    n = first
+    while n + 1 < len(sequence) and sequence.state[n + 1] == ON_MAP:
+        if sequence.stamps[n + 1] - sequence.stamps[n] > 0.5:
+            break
+        n += 1
+    return float(sequence.stamps[n] - sequence.stamps[first])
 
 
 def peers(sequence: Sequence) -> list[dict[str, object]]:
