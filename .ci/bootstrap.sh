@@ -56,7 +56,7 @@ make_venv() {
 install_lock() {
   local log=$VENV/install.log
   if "$VENV/bin/python" -m pip install -q --require-hashes -r <(sed -n '/^uv==/,/[^\\]$/p' "$LOCK") > "$log" 2>&1 &&
-    "$VENV/bin/uv" pip install --python "$VENV/bin/python" --compile-bytecode --require-hashes -r "$LOCK" 2>&1 |
+    "$VENV/bin/uv" pip install --python "$VENV/bin/python" --require-hashes -r "$LOCK" 2>&1 |
       tee -a "$log" | grep -vE '^ *[+~-] '
   then return; fi
   echo '      uv did not get through; the same by pip, which takes some minutes'
