@@ -6,6 +6,11 @@ import time
 from collections.abc import Callable
 
 Progress = Callable[[str, float], None]
+Look = Callable[[], None]  # asked between two steps; raises where there is no time left
+
+
+def unhurried() -> None:
+    """Look at no clock."""
 
 
 STAGES = ('scale normalization', 'structure extraction', 'graph matching', 'transformation estimation')

@@ -125,10 +125,15 @@ def register(
     clock = Clock(on_progress, config.time_budget)
     most, threads = config.preprocess.max_points, config.threads or os.cpu_count() or 1
     config = config if prior is None else narrowed(config, prior)
-    clouds = finite_points(source, NAMES[0], most, threads), finite_points(target, NAMES[1], most, threads)
     viewpoints = viewpoint(source_viewpoint, NAMES[0]), viewpoint(target_viewpoint, NAMES[1])
     results: dict[int, RegistrationResult] = {}
+    clock.enter('scale normalization')
     with contextlib.suppress(TimeUp):
+        first, second = (
+            finite_points(points, name, most, threads, clock.check)
+            for name, points in zip(NAMES, (source, target), strict=True)
+        )
+        clouds = first, second
         _attempts(clouds, viewpoints, prior, config, seed, clock, details, results)
     clock.finish()
     best = best_of(results.values()) if results else _unfinished(config)
@@ -146,12 +151,10 @@ def _attempts(
     results: dict[int, RegistrationResult],
 ) -> None:
     """Run one attempt of the schedule after the other until one is accepted, and put their results, by smoothing."""
-    clock.enter('scale normalization')
-    pair = normalize(clouds, config)  # step 1
-    clock.check()
+    pair = normalize(clouds, config, clock.check)  # step 1
     sides = zip(pair.clouds, pair.normalizations, strict=True)
     source_part, target_part = (unit.apply(cloud) for cloud, unit in sides)
-    ladder = Ladder(source_part, target_part, seed)
+    ladder = Ladder(source_part, target_part, seed, clock.check)
     expected = prior and _normalized(prior, pair)
     views: dict[int, View] = {}
     for number, attempt in enumerate(schedule(pair, config)):
@@ -216,13 +219,13 @@ def _view(
     clock: Clock,
 ) -> View:
     if not attempt.smoothing:
-        return View(pair, config, rng.spawn(1)[0], refine_between, viewpoints)
+        return View(pair, config, rng.spawn(1)[0], refine_between, viewpoints, look=clock.check)
     smooth = []
     for cloud, unit in zip(pair.clouds, pair.normalizations, strict=True):
-        smooth.append(unit.inverse().apply(smoothed(unit.apply(cloud), attempt.smoothing)))
+        smooth.append(unit.inverse().apply(smoothed(unit.apply(cloud), attempt.smoothing, look=clock.check)))
         clock.check()
     pair = NormalizedPair((smooth[0], smooth[1]), pair.normalizations)
-    return View(pair, config, rng, refine_between, viewpoints, smoothed=True)
+    return View(pair, config, rng, refine_between, viewpoints, smoothed=True, look=clock.check)
 
 
 def _structures(
@@ -302,7 +305,8 @@ def _structure_pair(
     scales = search_range(*units, config.scale, part.scale_factor, attempt.relative)
     wide = search_range(*units, config.scale, part.plane_scale_factor)
     matches, node_affinity = matched.matching.pairs, matched.node_affinity
-    return StructurePair(source, target, matches, node_affinity, scales, keypoints, ladder, wide, found, prior)
+    known = source, target, matches, node_affinity, scales, keypoints, ladder, wide, found, prior
+    return StructurePair(*known, look=clock.check)
 
 
 def _ransac(
@@ -334,7 +338,7 @@ def _searched(
     best, verdict = Similarity.identity(), None
     with contextlib.suppress(TimeUp):
         for _ in _candidates(config.hypotheses.sources, structures, view, config, rng, clock):
-            evidence = _best(structures, view, config) if view.measured else None
+            evidence = _best(structures, view, config, clock) if view.measured else None
             clock.check()
             if evidence is not None:
                 best, verdict = evidence.transform, view.judge(evidence)
@@ -346,7 +350,7 @@ def _searched(
     return best, verdict or (_unfinished(config).verdict if clock.expired else no_hypothesis())
 
 
-def _best(structures: StructurePair, view: View, config: Config) -> Evidence | None:
+def _best(structures: StructurePair, view: View, config: Config, clock: Clock) -> Evidence | None:
     """Return the best of all measured transforms, after the final ICP of the paper where that makes it better.
 
     Of those that the prior allows, where there is one; None where it allows none.
@@ -363,7 +367,12 @@ def _best(structures: StructurePair, view: View, config: Config) -> Evidence | N
     else:
         scores = ladder.scores([evidence.transform.matrix for evidence in allowed])
         best = allowed[int(np.argmax(scores))]
-    refined = view.measure(refine_best(best.transform, *view.surfaces, config, estimate_scale=scaled))
+    start = best.transform.matrix.tobytes()
+    if start not in view.refined:  # what one source after the other leaves the best
+        clock.check()
+        moved = refine_best(best.transform, *view.surfaces, config, estimate_scale=scaled, look=clock.check)
+        view.refined[start] = view.measure(moved)
+    refined = view.refined[start]
     if refined.score <= best.score or not _allowed(refined.transform, structures):
         return best
     if ladder.finalists and not ladder.alike(best.transform.matrix, refined.transform.matrix):

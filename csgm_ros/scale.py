@@ -7,6 +7,7 @@ import numpy as np
 from csgm_ros.cloud.outliers import without_extremes, without_far, without_isolated, without_uniform_outliers
 from csgm_ros.config import Config, ScaleConfig
 from csgm_ros.errors import naming
+from csgm_ros.progress import Look, unhurried
 from csgm_ros.types import NormalizedPair, Similarity
 
 
@@ -15,13 +16,15 @@ def radius(points: np.ndarray) -> float:
     return float(np.sqrt(np.max(((points - points.mean(0)) ** 2).sum(1))))
 
 
-def normalize(clouds: tuple[np.ndarray, np.ndarray], config: Config) -> NormalizedPair:
+def normalize(clouds: tuple[np.ndarray, np.ndarray], config: Config, look: Look = unhurried) -> NormalizedPair:
     """Bring two clouds to radius 1, the points that would mislead Eq. (1) left out.
 
     Parameters
     ----------
     clouds : pair of (N, 3) ndarray
         Source and target, finite points in their own units.
+    look : callable, optional
+        Asked after every step.
 
     Notes
     -----
@@ -35,7 +38,9 @@ def normalize(clouds: tuple[np.ndarray, np.ndarray], config: Config) -> Normaliz
     for name, cloud in zip(('source', 'target'), clouds, strict=True):
         with naming(name):
             kept.append(without_uniform_outliers(without_extremes(cloud)))
+            look()
             dense.append(without_isolated(kept[-1], factor))
+            look()
     units = normalizations(dense[0], dense[1], config.scale)
     return NormalizedPair((without_far(kept[0], units[0]), without_far(kept[1], units[1])), units)
 

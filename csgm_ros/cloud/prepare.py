@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from csgm_ros.cloud.outliers import without_extremes
@@ -9,16 +11,24 @@ from csgm_ros.cloud.plane_fit import fit_planes
 from csgm_ros.cloud.thin import parts_of, thinned
 from csgm_ros.cloud.voxels import voxel_means
 from csgm_ros.errors import DegenerateCloudError, InputError, naming
+from csgm_ros.progress import Look, unhurried
 from csgm_ros.types import PreparedCloud, Similarity
 
 MIN_POINTS = 50
 MAX_COORDINATE = 1e100  # squares, their sums and quotients of two clouds stay far from overflow
 
 
-def finite_points(points: np.ndarray, name: str = 'cloud', most: int | None = None, threads: int = 1) -> np.ndarray:
+def finite_points(
+    points: np.ndarray,
+    name: str = 'cloud',
+    most: int | None = None,
+    threads: int = 1,
+    look: Look = unhurried,
+) -> np.ndarray:
     """Return the finite rows of an (N, 3) array as float64, or say what is wrong with it.
 
-    A cloud of more than ``most`` points comes back as the means of at most so many voxels.
+    A cloud of more than ``most`` points comes back as the means of at most so many voxels; ``look`` is asked between
+    its parts.
 
     Raises
     ------
@@ -37,7 +47,7 @@ def finite_points(points: np.ndarray, name: str = 'cloud', most: int | None = No
         raise InputError(f'{name}: shape {points.shape}; give an (N, 3) array of x, y, z')
     if most is not None and len(points) > most:
         with naming(name):
-            points = thinned(parts_of(points), most, threads)
+            points = thinned(_watched(parts_of(points), look), most, threads)
     else:
         points = points[np.isfinite(points).all(1)].astype(float)
     if len(points) < MIN_POINTS:
@@ -50,6 +60,12 @@ def finite_points(points: np.ndarray, name: str = 'cloud', most: int | None = No
     if extents[1] <= 1e-10 * extents[2] or extents[2] <= 0.0:
         raise DegenerateCloudError(f'{name}: all points in one place or on one line; give a cloud of surfaces')
     return points
+
+
+def _watched(parts: Iterator[np.ndarray], look: Look) -> Iterator[np.ndarray]:
+    for part in parts:
+        look()
+        yield part
 
 
 def viewpoint(place: np.ndarray | None, name: str) -> np.ndarray | None:

@@ -6,11 +6,12 @@ import numpy as np
 
 from csgm_ros.cloud.plane_fit import fit_planes
 from csgm_ros.cloud.voxels import voxel_means
+from csgm_ros.progress import Look, unhurried
 
 VOXEL = 0.02  # of the radius
 
 
-def smoothed(points: np.ndarray, neighbors: int, rounds: int = 2) -> np.ndarray:
+def smoothed(points: np.ndarray, neighbors: int, rounds: int = 2, look: Look = unhurried) -> np.ndarray:
     """Move every voxel of a cloud of radius 1 onto the plane of its nearest neighbours, a few times.
 
     Parameters
@@ -19,6 +20,8 @@ def smoothed(points: np.ndarray, neighbors: int, rounds: int = 2) -> np.ndarray:
         Cloud of radius about 1.
     neighbors : int
         The noise falls with their root, and so does the detail.
+    look : callable, optional
+        Asked before every round.
 
     Returns
     -------
@@ -27,6 +30,7 @@ def smoothed(points: np.ndarray, neighbors: int, rounds: int = 2) -> np.ndarray:
     """
     moved = voxel_means(points, VOXEL)
     for _ in range(rounds):
+        look()
         planes = fit_planes(moved, neighbors, moved)
         moved = moved - ((moved - planes.means) * planes.normals).sum(1, keepdims=True) * planes.normals
     return moved

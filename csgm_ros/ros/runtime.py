@@ -18,6 +18,7 @@ from rclpy.logging import get_logger
 
 from csgm_ros.errors import ConfigError
 from csgm_ros.ros.dds import connection_error, use_large_buffers
+from csgm_ros.ros.memory import share_pools
 from csgm_ros.ros.shared_memory import remove_own, remove_stale
 
 THREADS = 6  # inputs, monitor, transitions, and a waiting ~/register beside a second caller
@@ -76,6 +77,7 @@ def run_node(node_type: type, args: list[str] | None = None) -> int:
 
 def live(parts: Parts, node_type: type, args: list[str] | None) -> str:
     """Make the node and spin it until a signal; return why it cannot start, else an empty string."""
+    share_pools()
     transports = use_large_buffers()
     remove_stale()
     try:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from csgm_ros.errors import Cancelled
+from csgm_ros.ros.memory import give_back
 
 
 class Job:
@@ -142,7 +143,7 @@ class Worker:
 
     def _loop(self) -> None:
         while self._run_next():
-            pass
+            give_back()
 
     def _run_next(self) -> bool:
         """Do the next job; a frame of its own, so that nothing of a job outlives it here."""

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from csgm_ros.progress import Look, unhurried
+
 
 class Correspondences(NamedTuple):
     """Putative correspondences; a point may occur in many.
@@ -31,9 +33,10 @@ def most_similar(affinities: np.ndarray, count: int) -> np.ndarray:
     return np.column_stack([np.repeat(np.arange(len(affinities)), count), best.ravel()])
 
 
-def nearest_both_ways(source: np.ndarray, target: np.ndarray, count: int) -> np.ndarray:
+def nearest_both_ways(source: np.ndarray, target: np.ndarray, count: int, look: Look = unhurried) -> np.ndarray:
     """Return the pairs in which one feature is among the ``count`` nearest of the other, (k, 2) index pairs."""
     forth = _nearest(source, target, count)
+    look()
     back = _nearest(target, source, count)
     return np.unique(np.concatenate([forth, back[:, ::-1]]), axis=0)
 

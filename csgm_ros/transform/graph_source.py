@@ -12,7 +12,7 @@ from csgm_ros.transform.sources import StructurePair
 
 def propose(pair: StructurePair, config: HypothesesConfig, rng: np.random.Generator) -> np.ndarray:
     """Return the (H, 4, 4) transforms of triples of nodes that keep the structure."""
-    return from_triples(putative(pair, config.correspondences), rng, config, pair.scales)
+    return from_triples(putative(pair, config.correspondences), rng, config, pair.scales, pair.look)
 
 
 def putative(pair: StructurePair, count: int) -> Correspondences:

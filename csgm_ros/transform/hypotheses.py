@@ -12,8 +12,10 @@ import numpy as np
 from csgm_ros.cloud.kernels import kernel, random_bits
 from csgm_ros.cloud.normals import cosine
 from csgm_ros.config import HypothesesConfig
+from csgm_ros.progress import Look, unhurried
 from csgm_ros.transform.correspondences import Correspondences
 
+TRIALS = 500_000  # between two looks at the clock
 MIN_SINE = 1e-3  # of the angle at a corner of a minimal sample: below, its points are on a line
 
 
@@ -22,6 +24,7 @@ def from_triples(
     rng: np.random.Generator,
     config: HypothesesConfig,
     scales: tuple[float, float],
+    look: Look = unhurried,
 ) -> np.ndarray:
     """Draw triples of correspondences, the minimal samples, and return the transforms of those that keep the structure.
 
@@ -35,6 +38,8 @@ def from_triples(
         How many, and how exactly sides and normals have to agree.
     scales : tuple of float
         Smallest and largest scale; equal ones fix it.
+    look : callable, optional
+        Asked now and then.
 
     Returns
     -------
@@ -46,27 +51,33 @@ def from_triples(
     low, high = np.log(scales)
     fixed = low == high
     slack = np.log1p(config.side_tolerance) if fixed else 0.0
-    out = np.empty((config.limit, 4, 4))
-    count = _draw(
-        *(np.ascontiguousarray(part, float) for part in correspondences),
-        np.uint64(rng.integers(1, 2**63 - 1)),
-        config.trials,
-        low - slack,
-        high + slack,
-        fixed,
-        config.min_side,
-        np.log1p(config.side_tolerance),
-        cosine(config.max_normal_angle),
-        out,
-    )
+    out, count = np.empty((config.limit, 4, 4)), 0
+    parts = [np.ascontiguousarray(part, float) for part in correspondences]
+    state = np.array([rng.integers(1, 2**63 - 1)], np.uint64)
+    for first in range(0, config.trials, TRIALS):
+        look()
+        count = _draw(
+            *parts,
+            state,
+            min(TRIALS, config.trials - first),
+            low - slack,
+            high + slack,
+            fixed,
+            config.min_side,
+            np.log1p(config.side_tolerance),
+            cosine(config.max_normal_angle),
+            out,
+            count,
+        )
+        if count == len(out):
+            break
     return out[:count]
 
 
 @kernel
-def _draw(p, q, np_, nq, seed, trials, low, high, fixed, min_length, tolerance, min_cosine, out):
-    state = seed
+def _draw(p, q, np_, nq, last, trials, low, high, fixed, min_length, tolerance, min_cosine, out, count):
+    state = last[0]
     triple = np.empty(3, np.int64)
-    count = 0
     for _ in range(trials):
         for i in range(3):
             state, bits = random_bits(state)
@@ -84,6 +95,7 @@ def _draw(p, q, np_, nq, seed, trials, low, high, fixed, min_length, tolerance, 
             count += 1
             if count == len(out):
                 break
+    last[0] = state
     return count
 
 

@@ -6,6 +6,7 @@ import os
 
 import numpy as np
 
+from csgm_ros.progress import Look, unhurried
 from csgm_ros.types import Similarity
 
 
@@ -18,6 +19,7 @@ def refine(
     iterations: int = 30,
     estimate_scale: bool = True,
     threads: int = 0,
+    look: Look = unhurried,
 ) -> Similarity:
     """Refine a transform by point-to-point ICP, one run per distance, wide to narrow.
 
@@ -35,6 +37,8 @@ def refine(
         Refine the scale too. The paper leaves it at Eq. (1), whose error reaches 42 %.
     threads : int, optional
         Threads at most; 0 takes every core.
+    look : callable, optional
+        Asked before every run.
 
     Returns
     -------
@@ -52,6 +56,7 @@ def refine(
     estimation = registration.TransformationEstimationPointToPoint(estimate_scale)
     matrix = start.matrix
     for distance in max_correspondence_distances:
+        look()
         result = registration.registration_icp(*clouds, distance, matrix, estimation, criteria)
         if len(result.correspondence_set) < 3:
             break

@@ -15,6 +15,7 @@ import numpy as np
 from csgm_ros.cloud.agreement import Comparison
 from csgm_ros.cloud.cells import Cells, cells, working_size
 from csgm_ros.cloud.witnesses import Witnesses, asked, robust_radius
+from csgm_ros.progress import Look, unhurried
 from csgm_ros.transform import batch_icp
 
 WORKING = 4000  # cells of the source
@@ -40,6 +41,8 @@ class Ladder:
     source, target : (N, 3), (M, 3) ndarray
         Finite points.
     seed : int
+    look : callable, optional
+        Asked between the steps of a search.
 
     Attributes
     ----------
@@ -47,8 +50,8 @@ class Ladder:
         What each search in these cells has found, by the name of the source, best first.
     """
 
-    def __init__(self, source: np.ndarray, target: np.ndarray, seed: int):
-        self._clouds, self._seed = (source, target), seed
+    def __init__(self, source: np.ndarray, target: np.ndarray, seed: int, look: Look = unhurried):
+        self._clouds, self._seed, self.look = (source, target), seed, look
         self._rungs: dict[int, Cells] = {}
         self._comparisons: dict[int, Comparison | None] = {}
         self.finalists: dict[str, np.ndarray] = {}
@@ -128,6 +131,7 @@ class Ladder:
         source = self.source.near(fine=fine)
         chosen = np.random.default_rng(self._seed).permutation(len(source.points))[:samples]
         for h, transform in enumerate(transforms):
+            self.look()
             scale = scale_of(transform)
             target = self.rung(scale).near(fine=fine)
             others = np.arange(0, len(target.points), max(1, len(target.points) // (TARGET_SAMPLES * samples)))

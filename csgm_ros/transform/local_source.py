@@ -12,11 +12,11 @@ from csgm_ros.transform.sources import StructurePair
 
 def propose(pair: StructurePair, config: HypothesesConfig, rng: np.random.Generator) -> np.ndarray:
     """Return the (H, 4, 4) transforms of triples of keypoints that keep the structure."""
-    return from_triples(putative(pair, config.correspondences), rng, config, pair.scales)
+    return from_triples(putative(pair, config.correspondences), rng, config, pair.scales, pair.look)
 
 
 def putative(pair: StructurePair, count: int) -> Correspondences:
     """Return the keypoints of which one is among the ``count`` most alike of the other."""
     source, target = pair.keypoints()
-    i, a = nearest_both_ways(source.features, target.features, count).T
+    i, a = nearest_both_ways(source.features, target.features, count, pair.look).T
     return Correspondences(source.points[i], target.points[a], source.normals[i], target.normals[a])

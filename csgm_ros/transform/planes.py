@@ -212,6 +212,7 @@ def correlate(ladder: Ladder, scales: np.ndarray):
     for (a, b, n), yaws in work.items():
         if b >= len(fine.targets(scales[n])):
             continue
+        ladder.look()
         values, shifts = fine.peaks(a, b, scales[n], yaws)
         matrices = fine.transforms(a, b, scales[n], yaws, shifts).reshape(-1, 4, 4)
         median, spread = norms[a, b, n // 2] if norms else _median(values)
@@ -231,6 +232,7 @@ def _promising(ladder: Ladder, scales: np.ndarray):
         scale = np.sqrt(scales[2 * n] * scales[min(2 * n + 1, len(scales) - 1)])
         for b in range(len(coarse.targets(scale))):
             for a in range(len(coarse.sources)):
+                ladder.look()
                 values = coarse.peaks(a, b, scale, every)[0].max(1)
                 median, spread = _median(values)
                 chance = np.sqrt(min(len(coarse.sources[a].points), len(coarse.targets(scale)[b].points)))

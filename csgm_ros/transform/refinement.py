@@ -6,6 +6,7 @@ import numpy as np
 
 from csgm_ros.cloud.normals import cosine
 from csgm_ros.config import Config
+from csgm_ros.progress import Look, unhurried
 from csgm_ros.transform import icp
 from csgm_ros.transform.batch_icp import refine_all
 from csgm_ros.types import NearestGrid, Similarity, Surface
@@ -44,7 +45,13 @@ def refine_between(
 
 
 def refine_best(
-    start: Similarity, source: Surface, target: Surface, config: Config, *, estimate_scale: bool
+    start: Similarity,
+    source: Surface,
+    target: Surface,
+    config: Config,
+    *,
+    estimate_scale: bool,
+    look: Look = unhurried,
 ) -> Similarity:
     """Return the transform after the final ICP of the paper."""
     part = config.icp
@@ -56,4 +63,5 @@ def refine_best(
         iterations=part.iterations,
         estimate_scale=estimate_scale,
         threads=config.threads,
+        look=look,
     )

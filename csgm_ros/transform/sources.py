@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from csgm_ros.config import HYPOTHESIS_SOURCES, HypothesesConfig
+from csgm_ros.progress import Look, unhurried
 from csgm_ros.schema import implementation
 from csgm_ros.transform.ladder import Ladder
 from csgm_ros.types import Prior, Structure
@@ -42,6 +43,8 @@ class StructurePair:
         Returns the (F, 4, 4) finalists of other sources so far.
     prior : Prior or None
         Where the transform is expected, between the normalised frames.
+    look : callable
+        To be asked between the steps of a source that takes long.
     """
 
     source: Structure
@@ -54,6 +57,7 @@ class StructurePair:
     wide_scales: tuple[float, float]
     found: Callable[[], np.ndarray]
     prior: Prior | None = None
+    look: Look = unhurried
 
 
 def propose(name: str, pair: StructurePair, config: HypothesesConfig, rng: np.random.Generator) -> np.ndarray:

@@ -11,6 +11,7 @@ import numpy as np
 from csgm_ros.cloud.agreement import Comparison
 from csgm_ros.cloud.witnesses import robust_radius, witnesses, working_cell
 from csgm_ros.config import Config
+from csgm_ros.progress import Look, unhurried
 from csgm_ros.types import NormalizedPair, Similarity, Surface, Verdict
 from csgm_ros.verification.decide import Units, decide, within_bounds
 from csgm_ros.verification.evidence import Evidence, measure
@@ -35,12 +36,16 @@ class View:
         Where the sensors stood, in each cloud's own frame and unit, where known.
     smoothed : bool, optional
         The clouds have been smoothed.
+    look : callable, optional
+        Asked between the steps of a judgement.
 
     Attributes
     ----------
     pair : NormalizedPair
     measured : list of Evidence
         What the verdict compares a transform with, over all attempts at this smoothing.
+    refined : dict of bytes to Evidence
+        For the matrix of a transform, that of the transform after the final ICP.
     rivals : list of (Similarity, float)
         What the last verdict compared with, and how well each fitted beside the winner; best first.
     """
@@ -54,20 +59,25 @@ class View:
         viewpoints: Viewpoints = (None, None),
         *,
         smoothed: bool = False,
+        look: Look = unhurried,
     ):
         self.pair = pair
         self.measured: list[Evidence] = []
+        self.refined: dict[bytes, Evidence] = {}
         self.rivals: list[tuple[Similarity, float]] = []
         self._config, self._rng, self._refine = config, rng, refine
-        self._viewpoints, self._smoothed = viewpoints, smoothed
+        self._viewpoints, self._smoothed, self._look = viewpoints, smoothed, look
         self._comparisons: dict[int, Comparison] = {}
 
     @cached_property
     def surfaces(self) -> tuple[Surface, Surface]:
         """Source and target, finely sampled."""
         sides = zip(self.pair.clouds, self.pair.normalizations, strict=True)
-        source, target = (surface(cloud, unit, self._config, self._rng) for cloud, unit in sides)
-        return source, target
+        made = []
+        for cloud, unit in sides:
+            made.append(surface(cloud, unit, self._config, self._rng))
+            self._look()
+        return made[0], made[1]
 
     @cached_property
     def max_angle(self) -> float:
@@ -86,6 +96,7 @@ class View:
         others = sorted(self.measured, key=lambda evidence: -evidence.score)[:MOST_COMPARED]
         transforms = [other.transform for other in others]
         findings = self.compared(best.transform, transforms)
+        self._look()
         if self._decided(best, findings).accepted:
             findings = self.probed(best.transform, transforms, findings)
         self.rivals = self._unreduced(findings, best.transform.scale)
@@ -97,6 +108,7 @@ class View:
     def compared(self, transform: Similarity, others: Iterable[Similarity]) -> Findings:
         """Return what other transforms and the viewpoints say about one between the normalised clouds."""
         comparison, scale = self.comparison(transform.scale)
+        self._look()
         findings = compared(comparison, _reduced(transform, scale), [_reduced(other, scale) for other in others])
         return replace(findings, seen_through=self._seen_through(transform))
 
@@ -109,9 +121,14 @@ class View:
             _reduced(transform, scale),
             reduced,
             findings,
-            self._refine,
+            self._looking,
             estimate_scale=self._config.scale.estimate_scale,
         )
+
+    def _looking(self, *asked, **options) -> np.ndarray:
+        """Refine, once there was a look at the clock."""
+        self._look()
+        return self._refine(*asked, **options)
 
     def _unreduced(self, findings: Findings, scale: float) -> list[tuple[Similarity, float]]:
         back = np.diag([*3 * [self.comparison(scale)[1]], 1.0])
