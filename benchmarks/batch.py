@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import os
 import pickle
 import resource
 import sys
 import tempfile
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +71,52 @@ def measured(pairs: list[Pair], workers: int, folder: Path) -> tuple[float, floa
     return time.perf_counter() - wall, spent() - cpu
 
 
+def traffic(pairs: list[Pair], folder: Path) -> tuple[Counter, int, float]:
+    """Return the messages by name, their bytes, and the CPU seconds here, of pairs whose files are missing.
+
+    The scheduler runs in this process, so that every message is seen here.
+    """
+    from distributed.batched import BatchedSend
+    from distributed.protocol import dumps
+
+    counts: Counter = Counter()
+    sizes: Counter = Counter()
+
+    def seen(name: str, message: object) -> None:
+        counts[name] += 1
+        sizes[name] += sum(memoryview(frame).nbytes for frame in dumps(message))
+
+    def sending(self, *messages):
+        for message in messages:
+            seen(f'sent {message["op"]}', message)
+        return send(self, *messages)
+
+    def received(name, handler):
+        def handle(*given, **message):
+            seen(f'received {name}', message)
+            return handler(*given, **message)
+
+        return handle
+
+    missing = [dataclasses.replace(pair, source='/none.npy') for pair in pairs]
+    send, cpu = BatchedSend.send, 0.0
+    with Results(folder) as results, cluster(None, 1, threads=1) as (client, threads):
+        run(missing[:1], results, client, threads=threads, stream=open(os.devnull, 'w'))  # noqa: SIM115
+        scheduler = client.cluster.scheduler
+        for handlers in (scheduler.stream_handlers, scheduler.handlers):
+            for name in ('task-finished', 'gather'):  # the client's are seen as they are sent
+                if name in handlers:
+                    handlers[name] = received(name, handlers[name])
+        BatchedSend.send = sending
+        try:
+            cpu = time.process_time()
+            run(missing, results, client, threads=threads, stream=open(os.devnull, 'w'))  # noqa: SIM115
+            cpu = time.process_time() - cpu
+        finally:
+            BatchedSend.send = send
+    return counts, sum(sizes.values()), cpu
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--pairs', type=int, default=200)
@@ -107,6 +155,9 @@ def main() -> None:
             for row_ in rows.values():
                 results.append(row_)
         write = (time.perf_counter() - start) / count
+        counts, size, cpu = traffic(pairs, folder / 'traffic')
+        said = ', '.join(f'{name} {number / (count - 1):.2f}' for name, number in counts.most_common(9))
+        print(f'messages a pair: {said}; {size / (count - 1):.0f} bytes; {1e3 * cpu / (count - 1):.2f} ms of CPU')
         print(f'a pair: {sent} bytes out, {row} bytes back, {1e3 * write:.2f} ms to put its row on the disk')
 
 

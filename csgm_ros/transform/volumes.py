@@ -11,6 +11,7 @@ from csgm_ros.cloud.kernels import kernel
 from csgm_ros.cloud.planes import Plane, frame
 from csgm_ros.cloud.witnesses import Witnesses
 from csgm_ros.config import HypothesesConfig
+from csgm_ros.progress import Look, unhurried
 from csgm_ros.transform.ladder import Ladder
 from csgm_ros.transform.sources import StructurePair
 
@@ -66,7 +67,9 @@ def directions(planes: list[Plane]) -> list[np.ndarray]:
     return kept[:AXES]
 
 
-def correlate(comparison: Comparison, source: list[Plane], target: list[Plane]) -> tuple[np.ndarray, np.ndarray]:
+def correlate(
+    comparison: Comparison, source: list[Plane], target: list[Plane], look: Look = unhurried
+) -> tuple[np.ndarray, np.ndarray]:
     """Return values (P,) and transforms (P, 4, 4) of the peaks of all turns about all pairs of directions.
 
     Parameters
@@ -75,6 +78,8 @@ def correlate(comparison: Comparison, source: list[Plane], target: list[Plane]) 
         The clouds in one unit.
     source, target : list of Plane
         Of the two clouds.
+    look : callable, optional
+        Asked before every turn.
     """
     import scipy.fft
 
@@ -93,6 +98,7 @@ def correlate(comparison: Comparison, source: list[Plane], target: list[Plane]) 
             answer = _spectrum(whole, 0.0, size, shape)
             product = np.empty(answer.shape[1:], answer.dtype)
             for turn in np.arange(TURNS // 2) * 2 * np.pi / TURNS:
+                look()
                 if (number, shape, turn) not in spectra:
                     spectra[number, shape, turn] = _spectrum(part, turn, size, shape)
                 for half, flip in enumerate(HALF_TURNS):
@@ -228,7 +234,7 @@ def found(ladder: Ladder) -> np.ndarray:
     if 'volumes' not in ladder.finalists:
         comparison = ladder.comparison(0)
         planes = ladder.source.planes, ladder.rung(1.0).planes
-        values, transforms = correlate(comparison, *planes) if comparison else NONE
+        values, transforms = correlate(comparison, *planes, ladder.look) if comparison else NONE
         kept = ladder.distinct(transforms, np.argsort(-values, kind='stable')[:MOST_SORTED], CANDIDATES, DISTINCT)
         ladder.finalists['volumes'] = ladder.best(transforms[kept], estimate_scale=False)
     return ladder.finalists['volumes']
