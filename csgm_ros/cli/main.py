@@ -135,6 +135,9 @@ def _add_demo(commands) -> None:
     parser.add_argument('--source', metavar='F', help='default: a simulated SfM cloud')
     parser.add_argument('--target', metavar='F', help='default: a simulated Kinect cloud')
     parser.add_argument('--tracking', action='store_true', help='follow a simulated sensor through a map instead')
+    parser.add_argument(
+        '--rate', type=_rate, default=1.0, metavar='R', help='of --tracking: 1 is real time, less suits a busy machine'
+    )
     parser.add_argument('--seed', type=_seed, default=0, metavar='N', help='of the scene and of the registration')
     parser.add_argument('--output', metavar='DIR', default='demo_output', help='default: demo_output')
     parser.set_defaults(run=_demo)
@@ -364,7 +367,7 @@ def _demo(options) -> int:
                 raise InputError('--tracking simulates its own map and sensor; leave out --source and --target')
             from csgm_ros.demo import track
 
-            return track.run(options.output, options.seed)
+            return track.run(options.output, options.seed, options.rate)
         return demo.run(options.source, options.target, options.output, options.seed)
     except demo.DemoError as error:
         print(f'csgm: {error}', file=sys.stderr)
@@ -453,6 +456,14 @@ def _seed(text: str) -> int:
     return seed
 
 
+def _rate(text: str) -> float:
+    rate = float(text)
+    if not 0.01 <= rate <= 10.0:
+        raise ValueError
+    return rate
+
+
+_rate.__name__ = 'number from 0.01 to 10'
 _seed.__name__ = 'non-negative whole number'  # argparse names it so: "invalid ... value: '-1'"
 
 if __name__ == '__main__':

@@ -39,8 +39,17 @@ class Told:
     degrees: np.ndarray
 
 
-def run(output: str, seed: int = 0) -> int:
+def run(output: str, seed: int = 0, rate: float = 1.0) -> int:
     """Run the demonstration and return its exit code: 0 where all that was given out is right.
+
+    Parameters
+    ----------
+    output : str
+        Folder for the picture and the log of the node; made when missing.
+    seed : int
+        Of the walk and of the node.
+    rate : float
+        Of the walk: 1 for real time.
 
     Raises
     ------
@@ -54,25 +63,25 @@ def run(output: str, seed: int = 0) -> int:
     isolate()
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / 'walk.npz'
-        np.savez(file, map=made.map_points, frames=made.frames, stamps=made.stamps)
+        np.savez(file, map=made.map_points, frames=made.frames, stamps=made.stamps, rate=rate)
         commands = {
             'node': ['csgm_ros.ros.node', '--ros-args', '-p', 'mode:=tracking', '-p', f'seed:={seed}'],
             'walker': ['csgm_ros.ros.client.walker', str(file)],
         }
         with processes(commands, folder) as pids:
             say(f'node is process {pids["node"]}, the sensor is process {pids["walker"]}')
-            heard = _follow(made, say)
+            heard = _follow(made, made.stamps[-1] / rate, say)
     return _conclude(made, told(made, heard), folder, say)
 
 
-def _follow(made: Walk, say: Narrator) -> list:
-    """Take the node to active, wait until it has worked on all frames, and return what it gave out."""
+def _follow(made: Walk, seconds: float, say: Narrator) -> list:
+    """Take the node to active, wait until it has worked on all frames of a walk, and return what it gave out."""
     from csgm_ros.ros.client.connection import Client
     from csgm_ros.ros.client.poses import Listener
 
     with Client() as client, Listener() as listener:
         activate(client, say)
-        end, before = time.monotonic() + made.stamps[-1] + PATIENCE, ''
+        end, before = time.monotonic() + seconds + PATIENCE, ''
         while True:
             values = client.status().values
             if values['tracking']['message'] != before:

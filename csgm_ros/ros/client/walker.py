@@ -19,17 +19,18 @@ LOOK = 0.005
 
 
 class Walker(Node):
-    """Publishes ``map`` and, once somebody listens, the ``frames`` at their ``stamps``, in real time.
+    """Publishes ``map`` and, once somebody listens, the ``frames`` at their ``stamps``.
 
     Parameters
     ----------
     recorded : mapping of str to ndarray
-        ``map`` (N, 3), ``frames`` (F, H, W, 3) in metres, ``stamps`` (F,) in seconds.
+        ``map`` (N, 3), ``frames`` (F, H, W, 3) in metres, ``stamps`` (F,) in seconds, and the ``rate``: 1 is real
+        time, less suits a machine that is too slow for it.
     """
 
     def __init__(self, recorded):
         super().__init__('walker')
-        self._frames, self._stamps = recorded['frames'], recorded['stamps']
+        self._frames, self._stamps, self._rate = recorded['frames'], recorded['stamps'], float(recorded['rate'])
         self._map = self.create_publisher(PointCloud2, 'map', LATCHED)
         self._map.publish(cloud_message(header(MAP, int(1e9 * BEGIN)), recorded['map']))
         self._points = self.create_publisher(PointCloud2, 'points', QoSProfile(depth=5))
@@ -41,7 +42,8 @@ class Walker(Node):
             if self._points.get_subscription_count():
                 self._started = time.monotonic() + 1.0  # in which the node sees what this publisher offers
             return
-        if self._next < len(self._stamps) and time.monotonic() - self._started >= self._stamps[self._next]:
+        walked = self._rate * (time.monotonic() - self._started)
+        if self._next < len(self._stamps) and walked >= self._stamps[self._next]:
             head = header(SENSOR, int(1e9 * (BEGIN + self._stamps[self._next])))
             self._points.publish(cloud_message(head, self._frames[self._next]))
             self._next += 1
