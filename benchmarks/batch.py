@@ -71,6 +71,13 @@ def measured(pairs: list[Pair], workers: int, folder: Path) -> tuple[float, floa
     return time.perf_counter() - wall, spent() - cpu
 
 
+def overhead(pairs: list[Pair], workers: int, folder: Path) -> float:
+    """Return the CPU seconds a pair of client, scheduler and workers, of pairs whose files are missing."""
+    missing = [dataclasses.replace(pair, source='/none.npy') for pair in pairs]
+    empty = measured(missing[:workers], workers, folder / f'none{workers}')[1]
+    return (measured(missing, workers, folder / f'missing{workers}')[1] - empty) / (len(pairs) - workers)
+
+
 def traffic(pairs: list[Pair], folder: Path) -> tuple[Counter, int, float]:
     """Return the messages by name, their bytes, and the CPU seconds here, of pairs whose files are missing.
 
@@ -155,6 +162,13 @@ def main() -> None:
             for row_ in rows.values():
                 results.append(row_)
         write = (time.perf_counter() - start) / count
+        for workers in (1, 2):
+            extra = overhead(pairs, workers, folder)
+            print(
+                f'{workers} worker(s): all that is not a registration takes {1e3 * extra:.1f} ms of CPU a pair, '
+                f'{extra / (plain[1] / count):.1%} of a plain call here',
+                flush=True,
+            )
         counts, size, cpu = traffic(pairs, folder / 'traffic')
         said = ', '.join(f'{name} {number / (count - 1):.2f}' for name, number in counts.most_common(9))
         print(f'messages a pair: {said}; {size / (count - 1):.0f} bytes; {1e3 * cpu / (count - 1):.2f} ms of CPU')
