@@ -4,13 +4,12 @@ import fcntl
 import os
 import signal
 import time
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip('rclpy')
 
-from ros_helpers.process import NodeProcess
+from ros_helpers.restarts import restarts
 
 from csgm_ros.ros.shared_memory import FOLDER, remove_stale
 
@@ -44,25 +43,8 @@ def test_starts_and_stops_leave_no_shared_memory_behind():
     if not FOLDER.is_dir():
         pytest.skip('no /dev/shm here')
 
-    def mine(process):
-        return {
-            Path(os.readlink(entry)).name
-            for entry in Path(f'/proc/{process.pid}/fd').iterdir()
-            if entry.is_symlink() and 'fastrtps_' in os.readlink(entry) and 'port' not in os.readlink(entry)
-        }
-
-    left = set()
-    for number in (signal.SIGTERM, signal.SIGKILL, signal.SIGINT):
-        process = NodeProcess('-r', '__ns:=/shared')
-        try:
-            process.wait_log('transports')
-            assert not {name for name in left if (FOLDER / name).exists()}
-            left = mine(process)
-            assert left
-            time.sleep(1.1)  # a younger one may be of a process that just starts
-            process.signal(number)
-            process.wait()
-            if number != signal.SIGKILL:
-                assert not {name for name in left if (FOLDER / name).exists()}, number
-        finally:
-            process.kill()
+    for sent, code, used, left, later in restarts(3):
+        assert used > 0.0
+        assert code == (0 if sent != signal.SIGKILL else -signal.SIGKILL)
+        assert sent == signal.SIGKILL or left == 0.0, sent
+        assert later == 0.0, sent
