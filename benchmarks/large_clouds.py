@@ -64,14 +64,43 @@ def read(path: Path, threads: int) -> None:
     print(f'| {path.name} | {threads} | {len(points)} | {cpu:.2f} | {wall:.2f} | {peak:.2f} |', flush=True)
 
 
+def register(count: int) -> None:
+    """Register a cloud of so many points that is in memory, with one as large and with one of 100,000 points."""
+    from csgm_ros import Similarity, profile
+    from csgm_ros import register as registered
+    from csgm_ros.config import replaced
+
+    rng = np.random.default_rng(0)
+    base, config = surfaces(rng), replaced(profile(), {'threads': 1})
+    truth = Similarity(2.0, np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([5.0, 3.0, 1.0]))
+
+    def cloud(points: int) -> np.ndarray:
+        chosen = base[rng.integers(len(base), size=points)]
+        return (chosen + rng.normal(scale=0.002, size=chosen.shape)).astype(np.float32)
+
+    few = cloud(100_000)
+    registered(few, truth.apply(few), config)  # every library loaded
+    source = cloud(count)
+    print('| source | target | accepted | CPU s |\n| --- | --- | --- | --- |')
+    for points in (few, cloud(count)):
+        target = truth.apply(points).astype(np.float32)
+        cpu = time.process_time()
+        result = registered(source, target, config)
+        print(f'| {count} | {len(target)} | {result.accepted} | {time.process_time() - cpu:.2f} |', flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('folder', type=Path)
     parser.add_argument('--points', type=float, nargs='+', default=[1e6, 1e7, 1e8])
     parser.add_argument('--kinds', nargs='+', default=['.npy', '.las'])
     parser.add_argument('--threads', type=int, default=1)
+    parser.add_argument('--register', type=float, help='so many points that are in memory, instead')
     parser.add_argument('--read', type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
+    if options.register:
+        register(int(options.register))
+        return
     if options.read:
         read(options.read, options.threads)
         return
