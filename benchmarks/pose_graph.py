@@ -57,8 +57,20 @@ def main() -> None:
             report(name, slabs(read_cloud(file).points, count, options.width), options.reach, Path(folder))
 
 
-def report(name: str, parts: list[np.ndarray], reach: int, folder: Path) -> None:
-    """Register, plant, align and print."""
+def solved(parts: list[np.ndarray], reach: int, folder: Path) -> tuple[list[dict], set[str], str, dict]:
+    """Register parts with those before them, plant wrong pairs and align.
+
+    Returns
+    -------
+    rows : list of dict
+        Of the batch, the planted ones included.
+    planted : set of str
+        Pairs that were made wrong.
+    said : str
+        Summary of the alignment.
+    errors : dict of int to (float, float)
+        By part: mean displacement of its points in the unit of the parts, and factor on its scale.
+    """
     rng = np.random.default_rng(0)
     lines, truth = ['source,target,id'], []
     for number, points in enumerate(parts):
@@ -77,22 +89,34 @@ def report(name: str, parts: list[np.ndarray], reach: int, folder: Path) -> None
     with Results(folder / 'results') as results:
         for row in rows:
             results.append(row)
-    print(f'{name}: {len(rows)} pairs, {len(accepted)} accepted, wrong planted: {", ".join(sorted(planted))}')
-    print(align(folder / 'results', folder / 'poses.json'))
-    document = json.loads((folder / 'poses.json').read_text())
-    named = {pair['id'] for pair in document['inconsistent_pairs']}
-    print(f'planted and named: {len(planted & named)} of {len(planted)}; right ones named: {len(named - planted)}')
-    for component in document['components']:
+    said = align(folder / 'results', folder / 'poses.json')
+    errors = {}
+    for component in json.loads((folder / 'poses.json').read_text())['components']:
         frame = int(Path(component['frame']).stem)
         for path, cloud in component['clouds'].items():
             node = int(Path(path).stem)
-            found, right = (
-                Similarity.from_matrix(np.array(cloud['T_frame_cloud'])),
-                truth[frame] @ truth[node].inverse(),
-            )
+            found = Similarity.from_matrix(np.array(cloud['T_frame_cloud']))
+            right = truth[frame] @ truth[node].inverse()
             points = truth[node].apply(parts[node])
             off = np.linalg.norm(found.apply(points) - right.apply(points), axis=1).mean() / truth[frame].scale
-            print(f'  part {node}: {100 * off:6.2f} cm off, scale {100 * (found.scale / right.scale - 1):+.2f} %')
+            errors[node] = float(off), found.scale / right.scale
+    return rows, planted, said, errors
+
+
+def inconsistent(folder: Path) -> set[str]:
+    """Return the pairs that an alignment left out."""
+    return {pair['id'] for pair in json.loads((folder / 'poses.json').read_text())['inconsistent_pairs']}
+
+
+def report(name: str, parts: list[np.ndarray], reach: int, folder: Path) -> None:
+    """Register, plant, align and print."""
+    rows, planted, said, errors = solved(parts, reach, folder)
+    accepted = sum(row['accepted'] for row in rows)
+    print(f'{name}: {len(rows)} pairs, {accepted} accepted, wrong planted: {", ".join(sorted(planted))}\n{said}')
+    named = inconsistent(folder)
+    print(f'planted and named: {len(planted & named)} of {len(planted)}; right ones named: {len(named - planted)}')
+    for node, (off, factor) in sorted(errors.items()):
+        print(f'  part {node}: {100 * off:6.2f} cm off, scale {100 * (factor - 1):+.2f} %')
 
 
 if __name__ == '__main__':

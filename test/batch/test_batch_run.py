@@ -173,7 +173,9 @@ def test_a_client_killed_in_the_middle_leaves_no_process_and_is_resumed(table, t
     running.wait()
     wait_for(lambda: not members(running.pid), 30)
     monkeypatch.undo()
-    resumed(table, tmp_path, '--workers', 1)
+    resumed(table, tmp_path, '--workers', 1, '--reports')
+    (held,) = [row for row in read(tmp_path) if row['id'] == 'held']
+    assert [page.stem for page in (tmp_path / 'reports').iterdir()] == [held['key']]
 
 
 class Cluster:

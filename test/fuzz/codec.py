@@ -10,9 +10,11 @@ from types import SimpleNamespace
 
 import atheris
 
-with atheris.instrument_imports(include=['csgm_ros.io']):
+with atheris.instrument_imports(include=['csgm_ros.io', 'trimesh.exchange']):
+    import trimesh.exchange.load  # noqa: F401
+
     from csgm_ros.io import files, pointcloud2
-    from csgm_ros.io.formats import arrays, colmap, las, mesh, pcd, ply, text  # noqa: F401 - to be instrumented
+    from csgm_ros.io.formats import arrays, colmap, depth, las, mesh, pcd, ply, text  # noqa: F401 - to be instrumented
 
 from csgm_ros.errors import InputError
 from fuzz import corpus
@@ -55,6 +57,9 @@ def decode(data: bytes) -> None:
 
 def read(path: Path):
     """Return what reads one file of the data."""
+
+    if path.name == 'depth.png':
+        path.with_name('camera.json').write_bytes(corpus.CAMERAS['camera.json'])
 
     def one(data: bytes) -> None:
         path.write_bytes(data)
