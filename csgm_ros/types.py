@@ -256,8 +256,8 @@ class NearestGrid(NamedTuple):
     ----------
     points, normals : (N, 3) ndarray
         The cloud.
-    index : (a, b, c) int32 ndarray
-        Nearest point of each cell.
+    index : pair of (a, b, c) and (k, d) int32 ndarray
+        Which of the kept blocks of cells each block of the space is; the nearest point of each cell of those.
     origin : (3,) ndarray
         Lower corner of the grid.
     cell : float
@@ -266,7 +266,7 @@ class NearestGrid(NamedTuple):
 
     points: np.ndarray
     normals: np.ndarray
-    index: np.ndarray  # type: ignore[assignment]  # hides tuple.index, which nobody asks for
+    index: tuple[np.ndarray, np.ndarray]  # type: ignore[assignment]  # hides tuple.index, which nobody asks for
     origin: np.ndarray
     cell: float
 

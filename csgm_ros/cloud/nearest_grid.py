@@ -2,7 +2,8 @@
 
 The search for the right transform asks for millions of nearest points; a gather answers in nanoseconds where
 a tree needs a microsecond. The answer is the point nearest to the *cell's centre*, so distances are exact for
-that point and too long by at most a cell's diagonal; the final ICP uses exact neighbours.
+that point and too long by at most a cell's diagonal; the final ICP uses exact neighbours. Only blocks of cells that a
+point reaches are kept: a street is mostly air.
 """
 
 from __future__ import annotations
@@ -12,50 +13,97 @@ import numpy as np
 from csgm_ros.cloud.kernels import kernel
 from csgm_ros.types import NearestGrid
 
-MAX_CELLS = 5e7
+BITS = 3
+BLOCK = 1 << BITS  # cells along the edge of a block
+MAX_BLOCKS = 4e6  # of the space, of which ...
+MAX_KEPT = 1e5  # ... so many are reached by a point
 
 
 def build(points: np.ndarray, normals: np.ndarray, cell: float, reach: float) -> NearestGrid:
     """Tabulate the nearest of (N, 3) points for every place within ``reach`` of one of them.
 
-    ``cell`` is widened where the table would have more than ``MAX_CELLS`` cells.
+    ``cell`` is widened where the table would have more than ``MAX_BLOCKS``, or keep more than ``MAX_KEPT``.
     """
     # a point far from all others would take the memory of the whole space between them
-    cell = max(cell, float(np.cbrt((np.ptp(points, axis=0) + 2 * reach).prod() / MAX_CELLS)))
-    origin = points.min(0) - reach - cell
-    sides = np.ceil((points.max(0) + reach + cell - origin) / cell).astype(np.int64)
-    index = np.full(tuple(sides), -1, np.int32)
-    _fill(points, index, origin, cell, reach)
-    return NearestGrid(np.ascontiguousarray(points), np.ascontiguousarray(normals), index, origin, cell)
+    space = (np.ptp(points, axis=0) + 2 * reach).prod()
+    cell = max(cell, float(np.cbrt(space / MAX_BLOCKS)) / BLOCK)
+    while True:
+        origin = points.min(0) - reach - cell
+        sides = np.ceil((points.max(0) + reach + cell - origin) / (BLOCK * cell)).astype(np.int64)
+        blocks = np.full(tuple(sides), -1, np.int32)
+        kept = _reached(points, blocks, origin, cell, reach)
+        if kept <= MAX_KEPT:
+            break
+        cell *= float(np.cbrt(kept / MAX_KEPT)) + 0.1
+    nearest = np.full((kept, BLOCK**3), -1, np.int32)
+    _fill(points, blocks, nearest, origin, cell, reach)
+    return NearestGrid(np.ascontiguousarray(points), np.ascontiguousarray(normals), (blocks, nearest), origin, cell)
 
 
 @kernel
-def _fill(points, index, origin, cell, reach):
+def _reached(points, blocks, origin, cell, reach):
+    """Number the blocks within reach of a point, and return how many they are."""
     steps = int(np.ceil(reach / cell))
-    best = np.full(index.shape, np.float32(reach * reach), np.float32)
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    count = 0
+    for p in range(len(points)):
+        for axis in range(3):
+            home = int((points[p, axis] - origin[axis]) / cell)
+            low[axis] = max(home - steps, 0) >> BITS
+            high[axis] = min(((home + steps) >> BITS) + 1, blocks.shape[axis])
+        for i in range(low[0], high[0]):
+            for j in range(low[1], high[1]):
+                for k in range(low[2], high[2]):
+                    if blocks[i, j, k] < 0:
+                        blocks[i, j, k] = count
+                        count += 1
+    return count
+
+
+@kernel(inline=True)
+def _inside(i, j, k):
+    return ((i & BLOCK - 1) << 2 * BITS) | ((j & BLOCK - 1) << BITS) | (k & BLOCK - 1)
+
+
+@kernel
+def _fill(points, blocks, nearest, origin, cell, reach):
+    steps = int(np.ceil(reach / cell))
+    best = np.full(nearest.shape, np.float32(reach * reach), np.float32)
     home = np.empty(3, np.int64)
     for p in range(len(points)):
         for axis in range(3):
             home[axis] = int((points[p, axis] - origin[axis]) / cell)
         low = np.maximum(home - steps, 0)
-        for i in range(low[0], min(home[0] + steps + 1, index.shape[0])):
+        for i in range(low[0], min(home[0] + steps + 1, BLOCK * blocks.shape[0])):
             dx = origin[0] + (i + 0.5) * cell - points[p, 0]
-            for j in range(low[1], min(home[1] + steps + 1, index.shape[1])):
+            for j in range(low[1], min(home[1] + steps + 1, BLOCK * blocks.shape[1])):
                 dy = origin[1] + (j + 0.5) * cell - points[p, 1]
-                for k in range(low[2], min(home[2] + steps + 1, index.shape[2])):
+                row = blocks[i >> BITS, j >> BITS]
+                place = _inside(i, j, 0)
+                for k in range(low[2], min(home[2] + steps + 1, BLOCK * blocks.shape[2])):
                     dz = origin[2] + (k + 0.5) * cell - points[p, 2]
                     distance = np.float32(dx * dx + dy * dy + dz * dz)
-                    if distance < best[i, j, k]:
-                        best[i, j, k] = distance
-                        index[i, j, k] = p
+                    block, inside = row[k >> BITS], place + (k & BLOCK - 1)
+                    if distance < best[block, inside]:
+                        best[block, inside] = distance
+                        nearest[block, inside] = p
 
 
 @kernel(inline=True)
 def lookup(index, origin, cell, x, y, z):
     """Return the point named by the cell of (x, y, z), -1 outside the grid."""
+    blocks, nearest = index
     i = int(np.floor((x - origin[0]) / cell))
     j = int(np.floor((y - origin[1]) / cell))
     k = int(np.floor((z - origin[2]) / cell))
-    if i < 0 or j < 0 or k < 0 or i >= index.shape[0] or j >= index.shape[1] or k >= index.shape[2]:
+    if (
+        i < 0
+        or j < 0
+        or k < 0
+        or i >= BLOCK * blocks.shape[0]
+        or j >= BLOCK * blocks.shape[1]
+        or k >= BLOCK * blocks.shape[2]
+    ):
         return -1
-    return index[i, j, k]
+    block = blocks[i >> BITS, j >> BITS, k >> BITS]
+    return nearest[block, _inside(i, j, k)] if block >= 0 else -1
