@@ -25,8 +25,9 @@ COMPARED = 2.0  # cells: at which length of structure the clouds are compared; p
 ASKED, MOST_ASKED = 1500, 6000  # cells
 NEIGHBORS = 12
 LEAST = 30  # cells with a normal, below which a cloud shows nothing
-FINALISTS = 6
-WIDE_GATES, FINE_GATES = (4.0, 3.0, 2.0, 1.5), (2.0, 1.2, 0.8)  # of the ICP, cells
+ROUNDS = (((4.0, 3.0), 300, False, 40), ((2.0, 1.5), 500, False, 6), ((2.0, 1.2, 0.8), 2000, True, 6))
+"""Of the refinement: gates of the ICP in cells, points of the source, on the finer tables, and how many it leaves."""
+MIN_INLIERS = 20  # points that must agree, for shares to mean anything
 SAME = 2.0  # cells of mean displacement up to which two transforms are one
 PROBES = 60
 ITERATIONS = 5  # of ICP, per gate
@@ -71,18 +72,16 @@ class Ladder:
         return self._rungs[number]
 
     def best(self, starts: np.ndarray, *, estimate_scale: bool) -> np.ndarray:
-        """Return the best different ones (F, 4, 4) of (H, 4, 4) transforms, best first, refined in two rounds."""
-        if len(starts) == 0:
-            return starts
-        refined = self.refine(starts, WIDE_GATES, 500, fine=False, estimate_scale=estimate_scale)
-        scores = self.scores(refined)
-        kept = self.distinct(refined, np.argsort(-scores, kind='stable'), FINALISTS)
-        top, scores = refined[kept], scores[kept]
-        fine = self.refine(top, FINE_GATES, 2000, fine=True, estimate_scale=estimate_scale)
-        fine_scores = self.scores(fine)
-        better = fine_scores > scores
-        top[better], scores[better] = fine[better], fine_scores[better]
-        return top[np.argsort(-scores, kind='stable')]
+        """Return the best different ones (F, 4, 4) of (H, 4, 4) transforms, best first, refined round by round."""
+        scores = np.zeros(len(starts))
+        for gates, samples, fine, count in ROUNDS:
+            refined = self.refine(starts, gates, samples, fine=fine, estimate_scale=estimate_scale)
+            again = self.scores(refined)
+            better = again >= scores
+            starts, scores = np.where(better[:, None, None], refined, starts), np.maximum(scores, again)
+            kept = self.distinct(starts, np.argsort(-scores, kind='stable'), count)
+            starts, scores = starts[kept], scores[kept]
+        return starts
 
     def scores(self, transforms: Iterable[np.ndarray]) -> np.ndarray:
         """Return how far the clouds agree (H,) under (H, 4, 4) transforms, see :class:`Comparison`."""
@@ -91,7 +90,10 @@ class Ladder:
     def _score(self, transform: np.ndarray) -> float:
         number = _number(scale_of(transform))
         comparison, back = self.comparison(number), RUNG**-number
-        return comparison.agreement(transform @ np.diag([back, back, back, 1.0])).score if comparison else 0.0
+        if comparison is None:
+            return 0.0
+        agreement = comparison.agreement(transform @ np.diag([back, back, back, 1.0]))
+        return agreement.score if agreement.inliers >= MIN_INLIERS else 0.0
 
     def comparison(self, number: int) -> Comparison | None:
         """Return the clouds on a rung, the source enlarged to it; None where one of them shows nothing there."""

@@ -21,7 +21,7 @@ STEP = 0.1  # between the logarithms of two scales
 PROMISING = 240  # places of the coarse look around which is looked finely
 MIN_CELLS = 500  # of the source; fewer have no layers
 MOST_SORTED = 3000
-CANDIDATES = 56  # different places that get a short ICP
+CANDIDATES = 160  # different places that get a short ICP
 PASS = 2 / 3  # of the frequencies are kept: the softened occupancy has no more
 
 

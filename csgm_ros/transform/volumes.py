@@ -18,7 +18,7 @@ from csgm_ros.transform.sources import StructurePair
 CELL = 2.0  # cells of the comparison
 TURNS = 24
 MIN_CELLS = 300  # of the source
-MOST_SORTED, CANDIDATES, DISTINCT = 3000, 60, 3.0  # peaks that are looked at; that get a short ICP; cells between them
+MOST_SORTED, CANDIDATES, DISTINCT = 3000, 100, 3.0  # peaks that are looked at; that get a short ICP; cells between them
 HALF_TURNS = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0]])
 NONE = np.empty(0), np.empty((0, 4, 4))
 AXES = 3  # of a cloud
