@@ -25,7 +25,7 @@ from csgm_ros.scale import normalize, search_range
 from csgm_ros.structure.extract import cut, describe
 from csgm_ros.structure.keypoints import describe_keypoints
 from csgm_ros.transform.hypothesis_search import search, search_grids
-from csgm_ros.transform.ladder import Ladder
+from csgm_ros.transform.ladder import APART, Ladder
 from csgm_ros.transform.ransac import ransac
 from csgm_ros.transform.refinement import refine_best, refine_between, refine_finalists
 from csgm_ros.transform.sources import StructurePair, propose
@@ -48,6 +48,7 @@ from csgm_ros.verification.view import View, Viewpoints
 
 NAMES = ('source', 'target')
 GUIDED_WIDTH = 0.25  # seed spacings; with it, matched nodes are at most half of one apart
+LIKELY = 4  # transforms that are compared at two lengths
 MOST_SHOWN = 4  # hypotheses that people are shown: the answer and the best of what competed with it
 LEAST_EFFORT = {
     'supervoxels.voxel_size': 0.1,
@@ -358,26 +359,36 @@ def _best(structures: StructurePair, view: View, config: Config, clock: Clock) -
     Once the clouds have been looked at in lengths of their structure, these say which is best: shares of the clouds and
     lengths relative to their radii cannot, where one is much larger.
     """
-    ladder, scaled = structures.ladder, config.scale.estimate_scale and config.icp.estimate_scale
+    ladder = structures.ladder
     allowed = [evidence for evidence in view.measured if _allowed(evidence.transform, structures)]
     if not allowed:
         return None
     if not ladder.finalists:
         best = max(allowed, key=lambda evidence: evidence.score)
-    else:
-        scores = ladder.scores([evidence.transform.matrix for evidence in allowed])
-        best = allowed[int(np.argmax(scores))]
-    start = best.transform.matrix.tobytes()
-    if start not in view.refined:  # what one source after the other leaves the best
+        last = _settled(best, view, config, clock)[0]
+        return last if last.score > best.score and _allowed(last.transform, structures) else best
+    score = cache(lambda evidence: view.score(evidence.transform))
+    ranks = ladder.scores([evidence.transform.matrix for evidence in allowed])
+    likely = np.argsort(-ranks, kind='stable')[:LIKELY]  # at twice the length and at that of the verdict
+    place = allowed[max(likely, key=lambda number: ranks[number] * score(allowed[number]))].transform.matrix
+
+    def fits(one: Evidence) -> bool:
+        return ladder.alike(place, one.transform.matrix, APART) and _allowed(one.transform, structures)
+
+    best = max(filter(fits, allowed), key=score)
+    # the correspondence distances of the last ICP may be too wide for what the clouds show
+    return max([best, *filter(fits, _settled(best, view, config, clock))], key=score)
+
+
+def _settled(best: Evidence, view: View, config: Config, clock: Clock) -> list[Evidence]:
+    """Return a transform after the final ICP of the paper; as it was, and that, after one in lengths of structure."""
+    key = best.transform.matrix.tobytes()  # mostly what was best before, whatever another source has added
+    if key not in view.settled:
+        scaled = config.scale.estimate_scale and config.icp.estimate_scale
         clock.check()
-        moved = refine_best(best.transform, *view.surfaces, config, estimate_scale=scaled, look=clock.check)
-        view.refined[start] = view.measure(moved)
-    refined = view.refined[start]
-    if refined.score <= best.score or not _allowed(refined.transform, structures):
-        return best
-    if ladder.finalists and not ladder.alike(best.transform.matrix, refined.transform.matrix):
-        return best  # the correspondence distances are too wide for what the clouds show
-    return refined
+        last = refine_best(best.transform, *view.surfaces, config, estimate_scale=scaled, look=clock.check)
+        view.settled[key] = [view.measure(one) for one in (last, view.refined(best.transform), view.refined(last))]
+    return view.settled[key]
 
 
 def _allowed(transform: Similarity, structures: StructurePair) -> bool:
@@ -398,11 +409,16 @@ def _candidates(
         hypotheses = propose(name, structures, config.hypotheses, rng)
         clock.check()
         if name in ('planes', 'volumes'):  # searched and refined already, in lengths of their own
-            view.measured += map(view.measure, map(Similarity.from_matrix, hypotheses))
+            places = structures.ladder.places(structures.ladder.news(hypotheses, structures.found()))
+            finalists = [Similarity.from_matrix(place[0]) for place in places]
+            if places:  # of the best place, the best on the fine clouds, whatever lengths refine it
+                tried = [*map(Similarity.from_matrix, places[0]), *refine_finalists(places[0], *view.surfaces, config)]
+                finalists[0] = max(tried, key=view.score)
+            view.measured += map(view.measure, finalists)
         elif len(hypotheses):
             grids = grids or search_grids(structures, config.verification)
-            finalists = search(hypotheses, *grids, config, rng, clock)
-            view.measured += map(view.measure, refine_finalists(finalists, *view.surfaces, config))
+            found = search(hypotheses, *grids, config, rng, clock)
+            view.measured += map(view.measure, refine_finalists(found, *view.surfaces, config))
         clock.check()
         if name != 'prior':  # what it proposes is judged beside what another source does, as it is no evidence
             yield

@@ -40,7 +40,7 @@ def test_a_real_pair_is_registered(registered, name):
 def test_the_matches_that_people_are_shown_agree_with_the_answer(registered, name):
     result = registered(name)[3]
     assert result.match_inliers.mean() > 0.9
-    assert result.match_inliers.sum() > 0.5 * len(result.source_graph.nodes)
+    assert result.match_inliers.sum() > 0.3 * len(result.source_graph.nodes)  # less where an attempt cut finer nodes
     assert result.unguided_inliers.mean() < 0.6
 
 

@@ -25,10 +25,12 @@ COMPARED = 2.0  # cells: at which length of structure the clouds are compared; p
 ASKED, MOST_ASKED = 1500, 6000  # cells
 NEIGHBORS = 12
 LEAST = 30  # cells with a normal, below which a cloud shows nothing
-ROUNDS = (((4.0, 3.0), 300, False, 40), ((2.0, 1.5), 500, False, 6), ((2.0, 1.2, 0.8), 2000, True, 6))
-"""Of the refinement: gates of the ICP in cells, points of the source, on the finer tables, and how many it leaves."""
-MIN_INLIERS = 20  # points that must agree, for shares to mean anything
 SAME = 2.0  # cells of mean displacement up to which two transforms are one
+APART = 6.0  # nearer to a better one, a finalist is the same but for bent clouds and noise
+FINALISTS = 6
+ROUNDS = (((4.0, 3.0), 300, False, 40), ((2.0, 1.5), 500, False, 16), ((2.0, 1.2, 0.8), 2000, True, 16))
+"""Of the refinement: gates of the ICP in cells, points of the source, on the finer tables, and how many are left."""
+MIN_INLIERS = 20  # points that must agree, for shares to mean anything
 PROBES = 60
 ITERATIONS = 5  # of ICP, per gate
 TARGET_SAMPLES = 4  # times as many points of the target as of the source: most of them are not on the source
@@ -165,9 +167,27 @@ class Ladder:
                 break
         return kept
 
-    def alike(self, first: np.ndarray, second: np.ndarray) -> bool:
-        """Return whether two (4, 4) transforms move the source to the same place."""
-        return len(self.distinct(np.stack([first, second]), (0, 1), 2)) == 1
+    def places(self, transforms: np.ndarray) -> list[np.ndarray]:
+        """Return (H, 4, 4) transforms by place, at most ``FINALISTS`` of those, in the order given."""
+        found: list[np.ndarray] = []
+        while len(transforms) and len(found) < FINALISTS:
+            here = np.array([self.alike(transforms[0], transform, APART) for transform in transforms])
+            found.append(transforms[here])
+            transforms = transforms[~here]
+        return found
+
+    def news(self, transforms: np.ndarray, known: np.ndarray) -> np.ndarray:
+        """Return those of (H, 4, 4) transforms that are not the same as one of (K, 4, 4) that fits as well."""
+        others = self.scores(known)
+        new = [
+            not any(self.alike(other, transform, APART) for other in known[others >= score])
+            for transform, score in zip(transforms, self.scores(transforms), strict=True)
+        ]
+        return transforms[np.array(new, bool)]
+
+    def alike(self, first: np.ndarray, second: np.ndarray, distance: float = SAME) -> bool:
+        """Return whether two (4, 4) transforms move the source to the same place, within ``distance`` cells."""
+        return len(self.distinct(np.stack([first, second]), (0, 1), 2, distance)) == 1
 
     @cached_property
     def _probe(self) -> np.ndarray:

@@ -15,7 +15,7 @@ from csgm_ros.progress import Look, unhurried
 from csgm_ros.types import NormalizedPair, Similarity, Surface, Verdict
 from csgm_ros.verification.decide import Units, decide, within_bounds
 from csgm_ros.verification.evidence import Evidence, measure
-from csgm_ros.verification.findings import Findings, Refine, compared, probed
+from csgm_ros.verification.findings import SAME_DISTANCES, Findings, Refine, compared, probed, refined
 from csgm_ros.verification.free_space import seen_through
 from csgm_ros.verification.surfaces import normal_angle, surface
 
@@ -44,8 +44,8 @@ class View:
     pair : NormalizedPair
     measured : list of Evidence
         What the verdict compares a transform with, over all attempts at this smoothing.
-    refined : dict of bytes to Evidence
-        For the matrix of a transform, that of the transform after the final ICP.
+    settled : dict of bytes to list of Evidence
+        What the final ICP made of a matrix.
     rivals : list of (Similarity, float)
         What the last verdict compared with, and how well each fitted beside the winner; best first.
     """
@@ -63,7 +63,7 @@ class View:
     ):
         self.pair = pair
         self.measured: list[Evidence] = []
-        self.refined: dict[bytes, Evidence] = {}
+        self.settled: dict[bytes, list[Evidence]] = {}
         self.rivals: list[tuple[Similarity, float]] = []
         self._config, self._rng, self._refine = config, rng, refine
         self._viewpoints, self._smoothed, self._look = viewpoints, smoothed, look
@@ -90,6 +90,19 @@ class View:
     def measure(self, transform: Similarity) -> Evidence:
         """Return the evidence for one transform between the normalised clouds."""
         return measure(transform, *self.surfaces, self._config.verification.inlier_distance, self.max_angle)
+
+    def score(self, transform: Similarity) -> float:
+        """Return how far the clouds agree under a transform at the length of their structure."""
+        comparison, scale = self.comparison(transform.scale)
+        return comparison.agreement(_reduced(transform, scale)).score
+
+    def refined(self, transform: Similarity) -> Similarity:
+        """Return a transform after a short ICP with distances in lengths of the structure."""
+        comparison, scale = self.comparison(transform.scale)
+        scaled = self._config.scale.estimate_scale
+        start = _reduced(transform, scale)[None]
+        found = refined(comparison, start, SAME_DISTANCES, self._refine, estimate_scale=scaled)[0]
+        return Similarity.from_matrix(found @ np.diag([scale, scale, scale, 1.0]))
 
     def judge(self, best: Evidence) -> Verdict:
         """Return the verdict on a transform, all that was measured before competing with it."""
