@@ -40,10 +40,14 @@ class Scale:
         """Whether there is a value."""
         return bool(np.isfinite(self.value))
 
-    def corrected(self, error: float) -> Scale:
-        """Return the scale after a frame that says the logarithm is off by ``error``: a Kalman filter's step."""
+    def corrected(self, error: float, *, smoothly: bool = True) -> Scale:
+        """Return the scale after a frame that says the logarithm is off by ``error``: a Kalman filter's step.
+
+        A short one where it is to go ``smoothly``, as poses are given out.
+        """
         gain = self.sigma**2 / (self.sigma**2 + MEASURED**2)
-        step = float(np.clip(gain * error, -LARGEST_STEP, LARGEST_STEP))
+        most = LARGEST_STEP if smoothly else np.inf
+        step = float(np.clip(gain * error, -most, most))
         return Scale(self.value * np.exp(step), max(self.sigma * np.sqrt(1.0 - gain), LEAST))
 
 

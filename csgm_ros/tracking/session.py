@@ -218,10 +218,11 @@ class Session:
             return
         chosen = self._rng.permutation(visible)[:SAMPLES]
         fit = self._laid(chosen, inverse)
-        self._place = _between(self._place, np.linalg.inv(fit.matrix), GAIN)
+        gain = GAIN if self._state == TRACKING else 1.0  # a place just found has no past to be steadied by
+        self._place = _between(self._place, np.linalg.inv(fit.matrix), gain)
         self._covariance = self._covariance_of(fit)
         self._since_scaled += 1
-        if self._state == TRACKING and self._since_scaled >= SCALE_EVERY:
+        if self._state != TRACKING or self._since_scaled >= SCALE_EVERY:
             self._since_scaled = 0
             self._correct_scale(chosen[:SCALE_SAMPLES])
 
@@ -239,7 +240,7 @@ class Session:
         grown = [scaling(np.exp(step), sensor) for step in (-APART, 0.0, APART)]
         growth = vertex([self._laid(chosen, matrix @ inverse).score for matrix in grown])
         if growth is not None:  # the map, in metres, is too small by it: fewer of its units make a metre
-            corrected = self._scale.corrected(-growth)
+            corrected = self._scale.corrected(-growth, smoothly=self._state == TRACKING)
             self._place = self._place @ scaling(corrected.value / scale_of(self._place), sensor)
             self._scale = corrected
 

@@ -150,6 +150,11 @@ def test_a_scale_is_believed_the_more_the_longer_but_never_beyond_what_a_map_is_
     assert not scale.Scale().known
 
 
+def test_a_scale_may_jump_before_poses_are_given_out():
+    found = scale.Scale.found(2.0)
+    assert np.log(found.corrected(0.04, smoothly=False).value / 2.0) == pytest.approx(0.02)
+
+
 @pytest.mark.parametrize(
     ('points', 'says'),
     [(np.zeros((5, 2)), r'\(N, 3\)'), (np.array([['a', 'b', 'c']]), 'frame'), (np.zeros(3), r'\(N, 3\)')],
