@@ -37,7 +37,9 @@ def normalize(clouds: tuple[np.ndarray, np.ndarray], config: Config, look: Look 
     kept, dense = [], []
     for name, cloud in zip(('source', 'target'), clouds, strict=True):
         with naming(name):
-            kept.append(without_uniform_outliers(without_extremes(cloud)))
+            near = without_extremes(cloud)
+            look()
+            kept.append(without_uniform_outliers(near))
             look()
             dense.append(without_isolated(kept[-1], factor))
             look()

@@ -164,11 +164,15 @@ class View:
             sides = zip(self._normalized, (used, 1.0), strict=True)
             source, target = (points * factor for points, factor in sides)
             sizes = self._cells
+            self._look()
             cell = min(sizes[0] * used, sizes[1])
             reach = 2.0 * min(robust_radius(source), robust_radius(target))
             neighbors, rng = self._config.preprocess.normal_neighbors, np.random.default_rng(0)
-            first, second = (witnesses(points, cell, reach, rng, neighbors) for points in (source, target))
-            self._comparisons[step] = Comparison(first, second, cell)
+            made = []
+            for points in (source, target):
+                self._look()
+                made.append(witnesses(points, cell, reach, rng, neighbors))
+            self._comparisons[step] = Comparison(made[0], made[1], cell)
         return self._comparisons[step], used
 
     @cached_property
