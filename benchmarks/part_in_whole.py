@@ -15,10 +15,12 @@ from benchmarks import harness, places, tables
 from benchmarks.datasets import Pair, part, place_names
 
 SETS = ('places', 'kitchen')
+SCALES = 'unknown', 'given'
 
 
 def main() -> None:
     parser = harness.parser(__doc__, ('csgm', 'fgr+sicp', 'kiss+sicp'))
+    parser.add_argument('--scale', nargs='+', choices=SCALES, default=list(SCALES), help='default: %(default)s')
     options = parser.parse_args()
     if not place_names():
         print('skipped: no places; CSGM_SHARED must name the folder that holds data/places')
@@ -27,6 +29,7 @@ def main() -> None:
     cases = [
         harness.Case(f'scale {"given" if given else "unknown"}', cut(make, given, seed), rigid=given)
         for given in places.GIVEN
+        if SCALES[given] in options.scale
         for seed in (options.seeds[:1] if options.quick else options.seeds)
         for make in (makers[:2] if options.quick else makers)
     ]
