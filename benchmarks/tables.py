@@ -151,6 +151,8 @@ ORDER = (
     'database_b',
     'same_source',
     'stress',
+    'places',
+    'part_in_whole',
     'verdict',
     'ablation',
     'profile_stages',
