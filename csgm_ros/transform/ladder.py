@@ -30,6 +30,8 @@ APART = 6.0  # nearer to a better one, a finalist is the same but for bent cloud
 FINALISTS = 6
 ROUNDS = (((4.0, 3.0), 300, False, 40), ((2.0, 1.5), 500, False, 16), ((2.0, 1.2, 0.8), 2000, True, 16))
 """Of the refinement: gates of the ICP in cells, points of the source, on the finer tables, and how many are left."""
+COLLAPSED = 2.0  # change of the scale from which an ICP has shrunk the source onto a few points
+SCALES = 1e-4, 1e4  # between the normalised clouds, beyond which nothing is compared
 MIN_INLIERS = 20  # points that must agree, for shares to mean anything
 PROBES = 60
 ITERATIONS = 5  # of ICP, per gate
@@ -90,7 +92,10 @@ class Ladder:
         return np.array([self._score(transform) for transform in transforms])
 
     def _score(self, transform: np.ndarray) -> float:
-        number = _number(scale_of(transform))
+        scale = scale_of(transform)
+        if not SCALES[0] < scale < SCALES[1]:
+            return 0.0
+        number = _number(scale)
         comparison, back = self.comparison(number), RUNG**-number
         if comparison is None:
             return 0.0
@@ -140,7 +145,7 @@ class Ladder:
             target = self.rung(scale).near(fine=fine)
             others = np.arange(0, len(target.points), max(1, len(target.points) // (TARGET_SAMPLES * samples)))
             lengths = tuple(gate * scale * self.source.size for gate in gates)
-            out[h] = batch_icp.refine_all(
+            refined = batch_icp.refine_all(
                 transform[None],
                 source,
                 target,
@@ -150,6 +155,8 @@ class Ladder:
                 iterations=ITERATIONS,
                 estimate_scale=estimate_scale,
             )[0]
+            kept = 1.0 / COLLAPSED < scale_of(refined) / scale < COLLAPSED
+            out[h] = refined if kept else transform
         return out
 
     def distinct(self, transforms: np.ndarray, order: Iterable[int], count: int, distance: float = SAME) -> list[int]:

@@ -12,7 +12,7 @@ SLIDES = np.array([-1.2, -1.0, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 1.0, 
 TURNS = (90.0, 180.0, 270.0)
 FINER_TURNS = (30.0, 60.0, 72.0, 120.0, 144.0)  # about the axis of revolution, if there were one
 SCALES = (0.7, 0.8, 0.88, 0.94, 1.06, 1.14, 1.25, 1.43)
-MIRRORS = 40  # planes in all directions: the plane in which an object is nearly symmetric may be any
+MIRRORS = 96  # planes in all directions: that in which an object is nearly symmetric may be any, and is missed by 40
 SAME_AXIS = 0.97  # cosine from which two axes are one
 
 
