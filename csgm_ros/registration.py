@@ -25,7 +25,7 @@ from csgm_ros.scale import normalize, search_range
 from csgm_ros.structure.extract import cut, describe
 from csgm_ros.structure.keypoints import describe_keypoints
 from csgm_ros.transform.hypothesis_search import search, search_grids
-from csgm_ros.transform.ladder import APART, Ladder
+from csgm_ros.transform.ladder import APART, COLLAPSED, SCALES, Ladder
 from csgm_ros.transform.ransac import ransac
 from csgm_ros.transform.refinement import refine_best, refine_between, refine_finalists
 from csgm_ros.transform.sources import StructurePair, propose
@@ -344,7 +344,7 @@ def _searched(
             if evidence is not None:
                 best, verdict = evidence.transform, view.judge(evidence)
             elif view.measured:
-                verdict = no_hypothesis(NOT_EXPECTED)
+                verdict = no_hypothesis(NOT_EXPECTED) if structures.prior else no_hypothesis()
             clock.check()
             if verdict and verdict.accepted:
                 break
@@ -386,12 +386,21 @@ def _settled(best: Evidence, view: View, config: Config, clock: Clock) -> list[E
     if key not in view.settled:
         scaled = config.scale.estimate_scale and config.icp.estimate_scale
         clock.check()
-        last = refine_best(best.transform, *view.surfaces, config, estimate_scale=scaled, look=clock.check)
-        view.settled[key] = [view.measure(one) for one in (last, view.refined(best.transform), view.refined(last))]
+        start = best.transform
+        last = _held(refine_best(start, *view.surfaces, config, estimate_scale=scaled, look=clock.check), start)
+        ends = last, _held(view.refined(start), start), _held(view.refined(last), start)
+        view.settled[key] = [view.measure(end) for end in ends]
     return view.settled[key]
 
 
+def _held(end: Similarity, start: Similarity) -> Similarity:
+    """Return what an ICP ended with, or its start where it has shrunk the source onto a few points."""
+    return end if 1.0 / COLLAPSED < end.scale / start.scale < COLLAPSED else start
+
+
 def _allowed(transform: Similarity, structures: StructurePair) -> bool:
+    if not SCALES[0] < transform.scale < SCALES[1]:
+        return False
     return structures.prior is None or structures.prior.allows(transform, np.zeros(3))
 
 

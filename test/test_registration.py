@@ -351,6 +351,16 @@ def test_unrelated_shapes_are_rejected():
     assert not register(shape('cuboid', 0), shape('cylinder', 1), QUICK).accepted
 
 
+def test_an_icp_that_shrinks_the_source_onto_a_few_points_is_no_answer():
+    rng = np.random.default_rng(0)
+    ball, (x, y) = rng.normal(size=(4000, 3)), rng.uniform(-1, 1, (2, 4000))
+    sheet = np.stack([x, y, 0.1 * np.sin(9 * x) * np.cos(7 * y)], axis=1)
+    for kind in (np.float32, np.float64):  # of rounding errors, one lets it collapse
+        result = register(ball.astype(kind), sheet.astype(kind))
+        assert not result.accepted
+        assert 1e-3 < result.scale < 1e3
+
+
 def test_clouds_of_one_scene_without_overlap_are_rejected():
     left, right = SOURCE[SOURCE[:, 0] < 1.0], TARGET[TARGET[:, 0] > 1.4]
     assert not register(left, right).accepted
