@@ -112,6 +112,8 @@ def said(client, name):
 
 def test_unusable_messages_are_counted_and_answered(active, ros):
     publisher = ros.publisher('/source')
+    # until the node has taken over the publisher's reliability, it may miss one
+    until(lambda: 'reliable' in active.status().values['source']['qos'], 'a reliable subscription')
     until(publisher.get_subscription_count, 'a subscription')
     for count, message in enumerate(unusable(), start=1):
         publisher.publish(message)
