@@ -25,7 +25,7 @@ from csgm_ros.scale import normalize, search_range
 from csgm_ros.structure.extract import cut, describe
 from csgm_ros.structure.keypoints import describe_keypoints
 from csgm_ros.transform.hypothesis_search import search, search_grids
-from csgm_ros.transform.ladder import APART, COLLAPSED, SCALES, Ladder
+from csgm_ros.transform.ladder import APART, Ladder, collapsed, comparable
 from csgm_ros.transform.ransac import ransac
 from csgm_ros.transform.refinement import refine_best, refine_between, refine_finalists
 from csgm_ros.transform.sources import StructurePair, propose
@@ -395,13 +395,12 @@ def _settled(best: Evidence, view: View, config: Config, clock: Clock) -> list[E
 
 def _held(end: Similarity, start: Similarity) -> Similarity:
     """Return what an ICP ended with, or its start where it has shrunk the source onto a few points."""
-    return end if 1.0 / COLLAPSED < end.scale / start.scale < COLLAPSED else start
+    return start if collapsed(end.scale, start.scale) else end
 
 
 def _allowed(transform: Similarity, structures: StructurePair) -> bool:
-    if not SCALES[0] < transform.scale < SCALES[1]:
-        return False
-    return structures.prior is None or structures.prior.allows(transform, np.zeros(3))
+    expected = structures.prior is None or structures.prior.allows(transform, np.zeros(3))
+    return comparable(transform.scale) and expected
 
 
 def _candidates(
@@ -417,7 +416,7 @@ def _candidates(
     for name in ('prior', *sources) if structures.prior else sources:
         hypotheses = propose(name, structures, config.hypotheses, rng)
         clock.check()
-        if name in ('planes', 'volumes'):  # searched and refined already, in lengths of their own
+        if name in structures.ladder.finalists:  # searched and refined already, in lengths of the structure
             places = structures.ladder.places(structures.ladder.news(hypotheses, structures.found()))
             finalists = [Similarity.from_matrix(place[0]) for place in places]
             if places:  # of the best place, the best on the fine clouds, whatever lengths refine it

@@ -98,8 +98,8 @@ def _judged(result: RegistrationResult, unit: np.ndarray, localizer: Localizer, 
 
     They know more than a verdict on two clouds does: what a sensor looked through is empty.
     """
-    competing = result.details.hypotheses if result.details else ()
-    matrices = np.stack([result.T_target_source, *(each.transform.matrix for each in competing)]) @ unit
+    hypotheses = result.details.hypotheses if result.details else (result,)  # the first is the answer
+    matrices = np.stack([each.transform.matrix for each in hypotheses]) @ unit
     places = localizer.best(matrices, fixed_scale=query.scale is not None)
     if not places:
         return Found(None, result.reason)

@@ -93,7 +93,7 @@ class Ladder:
 
     def _score(self, transform: np.ndarray) -> float:
         scale = scale_of(transform)
-        if not SCALES[0] < scale < SCALES[1]:
+        if not comparable(scale):
             return 0.0
         number = _number(scale)
         comparison, back = self.comparison(number), RUNG**-number
@@ -155,8 +155,7 @@ class Ladder:
                 iterations=ITERATIONS,
                 estimate_scale=estimate_scale,
             )[0]
-            kept = 1.0 / COLLAPSED < scale_of(refined) / scale < COLLAPSED
-            out[h] = refined if kept else transform
+            out[h] = transform if collapsed(scale_of(refined), scale) else refined
         return out
 
     def distinct(self, transforms: np.ndarray, order: Iterable[int], count: int, distance: float = SAME) -> list[int]:
@@ -199,6 +198,16 @@ class Ladder:
     @cached_property
     def _probe(self) -> np.ndarray:
         return self.source.points[:: max(1, len(self.source.points) // PROBES)]
+
+
+def collapsed(end: float, start: float) -> bool:
+    """Return whether an ICP that took the scale from ``start`` to ``end`` has left what it started from."""
+    return not 1.0 / COLLAPSED < end / start < COLLAPSED
+
+
+def comparable(scale: float) -> bool:
+    """Return whether clouds can be compared at a scale between their normalised frames."""
+    return SCALES[0] < scale < SCALES[1]
 
 
 def _number(scale: float) -> int:

@@ -131,14 +131,21 @@ def _spectrum(seen: Volume, turn: float, size: float, shape: tuple[int, ...]) ->
 
 
 @kernel
+def _cell(points, k, into):
+    """Return the indices of the cell in which a point is."""
+    x, y, z = points[k, 0], points[k, 1], points[k, 2]
+    i = int(np.floor(into[0, 0] * x + into[0, 1] * y + into[0, 2] * z + into[0, 3]))
+    j = int(np.floor(into[1, 0] * x + into[1, 1] * y + into[1, 2] * z + into[1, 3]))
+    n = int(np.floor(into[2, 0] * x + into[2, 1] * y + into[2, 2] * z + into[2, 3]))
+    return i, j, n
+
+
+@kernel
 def _ask(points, facing, weights, into, grids):
     """Add the weights of points to the two grids of surfaces that face the axis, and that do not."""
     _, a, b, c = grids.shape
     for k in range(len(points)):
-        x, y, z = points[k, 0], points[k, 1], points[k, 2]
-        i = int(np.floor(into[0, 0] * x + into[0, 1] * y + into[0, 2] * z + into[0, 3]))
-        j = int(np.floor(into[1, 0] * x + into[1, 1] * y + into[1, 2] * z + into[1, 3]))
-        n = int(np.floor(into[2, 0] * x + into[2, 1] * y + into[2, 2] * z + into[2, 3]))
+        i, j, n = _cell(points, k, into)
         if 0 <= i < a and 0 <= j < b and 0 <= n < c:
             if facing[k] > ALONG:
                 grids[0, i, j, n] += weights[k]
@@ -151,10 +158,7 @@ def _fill(points, facing, into, grids):
     """Write the two grids of what answers: 1 where a surface is, less beside it, negative around it, else 0."""
     _, a, b, c = grids.shape
     for k in range(len(points)):
-        x, y, z = points[k, 0], points[k, 1], points[k, 2]
-        i = int(np.floor(into[0, 0] * x + into[0, 1] * y + into[0, 2] * z + into[0, 3]))
-        j = int(np.floor(into[1, 0] * x + into[1, 1] * y + into[1, 2] * z + into[1, 3]))
-        n = int(np.floor(into[2, 0] * x + into[2, 1] * y + into[2, 2] * z + into[2, 3]))
+        i, j, n = _cell(points, k, into)
         if not (BAND <= i < a - BAND and BAND <= j < b - BAND and BAND <= n < c - BAND):
             continue
         own = 0 if facing[k] > ALONG else 1
