@@ -148,17 +148,20 @@ def _spacing(points, normals, some, neighbors: int, cell: float) -> tuple[float,
 @kernel
 def coplanar(points, normals, min_cosine, max_offset, reach):
     """Return how many of (S, 3) points lie in the plane of each, within reach of it, itself included."""
-    count = np.ones(len(points))
+    # columns, and no branch: vector code
+    x, y, z = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()
+    u, v, w = normals[:, 0].copy(), normals[:, 1].copy(), normals[:, 2].copy()
+    count = np.ones(len(points), np.int64)
     for i in range(len(points)):
+        here = np.int64(0)
         for j in range(i):
-            x, y, z = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
-            if x * x + y * y + z * z > reach * reach:
-                continue
-            u, v, w = normals[i, 0], normals[i, 1], normals[i, 2]
-            d, e, f = normals[j, 0], normals[j, 1], normals[j, 2]
-            if abs(u * d + v * e + w * f) < min_cosine:
-                continue
-            if abs(x * u + y * v + z * w) < max_offset and abs(x * d + y * e + z * f) < max_offset:
-                count[i] += 1
-                count[j] += 1
+            a, b, c = x[j] - x[i], y[j] - y[i], z[j] - z[i]
+            near = a * a + b * b + c * c <= reach * reach
+            parallel = abs(u[i] * u[j] + v[i] * v[j] + w[i] * w[j]) >= min_cosine
+            on_first = abs(a * u[i] + b * v[i] + c * w[i]) < max_offset
+            on_second = abs(a * u[j] + b * v[j] + c * w[j]) < max_offset
+            both = np.int64(near) & np.int64(parallel) & np.int64(on_first) & np.int64(on_second)
+            here += both
+            count[j] += both
+        count[i] += here
     return count
