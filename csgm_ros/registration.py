@@ -153,9 +153,7 @@ def _attempts(
 ) -> None:
     """Run one attempt of the schedule after the other until one is accepted, and put their results, by smoothing."""
     pair = normalize(clouds, config, clock.check)  # step 1
-    sides = zip(pair.clouds, pair.normalizations, strict=True)
-    source_part, target_part = (unit.apply(cloud) for cloud, unit in sides)
-    ladder = Ladder(source_part, target_part, seed, clock.check)
+    ladder = Ladder(*pair.normalized, seed, clock.check)
     expected = prior and _normalized(prior, pair)
     views: dict[int, View] = {}
     for number, attempt in enumerate(schedule(pair, config)):
@@ -222,8 +220,8 @@ def _view(
     if not attempt.smoothing:
         return View(pair, config, rng.spawn(1)[0], refine_between, viewpoints, look=clock.check)
     smooth = []
-    for cloud, unit in zip(pair.clouds, pair.normalizations, strict=True):
-        smooth.append(unit.inverse().apply(smoothed(unit.apply(cloud), attempt.smoothing, look=clock.check)))
+    for points, unit in zip(pair.normalized, pair.normalizations, strict=True):
+        smooth.append(unit.inverse().apply(smoothed(points, attempt.smoothing, look=clock.check)))
         clock.check()
     pair = NormalizedPair((smooth[0], smooth[1]), pair.normalizations)
     return View(pair, config, rng, refine_between, viewpoints, smoothed=True, look=clock.check)
@@ -236,7 +234,7 @@ def _structures(
     relatives = (attempt.relative, 1.0)
     with ThreadPoolExecutor(1 if config.threads == 1 else 2) as pool:
         for last in (False, False, True):
-            cuts = tuple(pool.map(_cut, NAMES, pair.clouds, pair.normalizations, (config,) * 2, relatives))
+            cuts = tuple(pool.map(_cut, NAMES, pair.normalized, (config,) * 2, relatives))
             clock.check()
             crowding = max(map(len, cuts)) / config.supervoxels.max_nodes
             if crowding <= 1.0 or last:

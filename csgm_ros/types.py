@@ -6,6 +6,7 @@ One sentence fixes every direction: ``x_target = s * R @ x_source + t``.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -138,6 +139,12 @@ class NormalizedPair:
     clouds: tuple[np.ndarray, np.ndarray]
     normalizations: tuple[Similarity, Similarity]
 
+    @cached_property
+    def normalized(self) -> tuple[np.ndarray, np.ndarray]:
+        """The points in the normalised frames."""
+        source, target = (unit.apply(cloud) for cloud, unit in zip(self.clouds, self.normalizations, strict=True))
+        return source, target
+
     def in_own_units(self, transform: Similarity) -> Similarity:
         """Return a transform between the normalised clouds as one between the clouds as they were given."""
         source, target = self.normalizations
@@ -152,13 +159,10 @@ class PreparedCloud:
     ----------
     points, normals : (N, 3) ndarray
         Voxel means and unit normals of arbitrary sign.
-    normalization : Similarity
-        From the cloud's own unit to this frame.
     """
 
     points: np.ndarray
     normals: np.ndarray
-    normalization: Similarity
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,6 +219,8 @@ class Structure:
         Directed edges between touching supervoxels.
     unit : float
         Length to which the configured ones are relative, here.
+    normalization : Similarity
+        From the cloud's own unit to this frame.
     """
 
     surface: PreparedCloud
@@ -224,6 +230,7 @@ class Structure:
     descriptors: np.ndarray
     adjacency: np.ndarray
     unit: float
+    normalization: Similarity
 
 
 @dataclass(frozen=True, eq=False)

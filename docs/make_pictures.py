@@ -45,8 +45,8 @@ def main():
     view = _view(target.points)
     structures = result.details.structures
     sides = [
-        Similarity(1.0, result.transform.rotation, np.zeros(3)) @ structures[0].surface.normalization.inverse(),
-        structures[1].surface.normalization.inverse(),
+        Similarity(1.0, result.transform.rotation, np.zeros(3)) @ structures[0].normalization.inverse(),
+        structures[1].normalization.inverse(),
     ]
     shown = [side.apply(each.surface.points) for side, each in zip(sides, structures, strict=True)]
     cut = [np.where(each.labels[:, None] < 0, 0.85, palette(COLORS)[each.labels % COLORS]) for each in structures]

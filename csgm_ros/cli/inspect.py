@@ -20,7 +20,7 @@ from csgm_ros.config import SupervoxelConfig, parameter_fields, profile
 from csgm_ros.errors import CsgmError, DegenerateCloudError
 from csgm_ros.scale import radius
 from csgm_ros.structure.extract import cut
-from csgm_ros.types import Similarity, Supervoxels
+from csgm_ros.types import Supervoxels
 
 LARGEST_VOXEL = parameter_fields(SupervoxelConfig)['voxel_size'].metadata['high']
 SAMPLES = 5000  # points whose neighbours are asked
@@ -244,7 +244,7 @@ def _planes(points: np.ndarray) -> tuple[tuple[float, ...], float, np.ndarray]:
 
 def _supervoxels(points: np.ndarray, length: float) -> Supervoxels | None:
     try:
-        return cut(points, Similarity(1.0 / length, np.eye(3), -points.mean(axis=0) / length), profile())
+        return cut((points - points.mean(axis=0)) / length, profile())
     except CsgmError:
         return None
 

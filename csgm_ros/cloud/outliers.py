@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from csgm_ros.cloud.kernels import kernel
 from csgm_ros.cloud.surface_variation import surface_variation
 from csgm_ros.cloud.voxels import voxelized
 from csgm_ros.types import Similarity
@@ -20,7 +21,7 @@ VOLUME = 0.7  # surface variation from which points fill a volume; that of a noi
 
 def without_extremes(points: np.ndarray) -> np.ndarray:
     """Return the points that are not absurdly far from most: one at 1e9 leaves no voxel of a usable size."""
-    distances = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    distances = distances_from(np.median(points, axis=0), points)
     return points[distances <= EXTREME * np.quantile(distances, MOST)]
 
 
@@ -73,7 +74,7 @@ def _spacing(points: np.ndarray, voxel: float) -> tuple[np.ndarray, np.ndarray, 
     """Voxel means (V, 3), the distance of each to its 10th neighbour (V,), and the voxel of every point (N,)."""
     from scipy.spatial import cKDTree
 
-    distances = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    distances = distances_from(np.median(points, axis=0), points)
     # not the largest distance: one outlier would make the voxels larger than the cloud
     size = voxel * 1.2 * float(np.quantile(distances, 0.98))
     means, voxel_of = voxelized(points, size)
@@ -96,4 +97,14 @@ def _split(values: np.ndarray) -> tuple[np.ndarray, float]:
 
 def without_far(points: np.ndarray, unit: Similarity) -> np.ndarray:
     """Return the points within twice the radius that :func:`without_isolated` left: what is beyond costs memory."""
-    return points[np.linalg.norm(unit.apply(points), axis=1) <= FAR]
+    return points[distances_from(unit.inverse().translation, points) <= FAR / unit.scale]
+
+
+@kernel
+def distances_from(place, points):
+    """Return the distance of each of (N, 3) points from a place; numpy takes ten times as long on rows of three."""
+    distances = np.empty(len(points))
+    for i in range(len(points)):
+        x, y, z = points[i, 0] - place[0], points[i, 1] - place[1], points[i, 2] - place[2]
+        distances[i] = np.sqrt(x * x + y * y + z * z)
+    return distances

@@ -12,7 +12,7 @@ from csgm_ros.cloud.thin import parts_of, thinned
 from csgm_ros.cloud.voxels import voxel_means
 from csgm_ros.errors import DegenerateCloudError, InputError, naming
 from csgm_ros.progress import Look, unhurried
-from csgm_ros.types import PreparedCloud, Similarity
+from csgm_ros.types import PreparedCloud
 
 MIN_POINTS = 50
 MAX_COORDINATE = 1e100  # squares, their sums and quotients of two clouds stay far from overflow
@@ -88,19 +88,17 @@ def normals_of(points: np.ndarray, neighbors: int) -> np.ndarray:
     return fit_planes(points, neighbors, points).normals
 
 
-def prepare(points: np.ndarray, normalization: Similarity, voxel_size: float, neighbors: int) -> PreparedCloud:
-    """Bring a cloud to radius 1, one point a voxel, with normals.
+def prepare(points: np.ndarray, voxel_size: float, neighbors: int) -> PreparedCloud:
+    """Bring a cloud to one point a voxel, with normals.
 
     Parameters
     ----------
     points : (N, 3) ndarray
-        Finite points in the cloud's own unit.
-    normalization : Similarity
-        Own unit to radius 1, see :func:`csgm_ros.scale.normalize`.
+        Finite points in the normalised frame, see :func:`csgm_ros.scale.normalize`.
     voxel_size : float
-        Relative to the radius.
+        Relative to the radius, which is 1.
     neighbors : int
         Points from which a normal is estimated.
     """
-    means = voxel_means(normalization.apply(points), voxel_size)
-    return PreparedCloud(means, normals_of(means, min(neighbors, len(means))), normalization)
+    means = voxel_means(points, voxel_size)
+    return PreparedCloud(means, normals_of(means, min(neighbors, len(means))))

@@ -15,6 +15,7 @@ import numpy as np
 from csgm_ros.cloud import nearest_grid
 from csgm_ros.cloud.kernels import kernel
 from csgm_ros.cloud.normals import cosine
+from csgm_ros.cloud.outliers import distances_from
 from csgm_ros.cloud.prepare import normals_of
 from csgm_ros.cloud.voxels import lattice_origin, occupied, voxel_means
 from csgm_ros.types import NearestGrid
@@ -84,7 +85,7 @@ def working_cell(points: np.ndarray, count: int = CELLS) -> float:
 
 def robust_radius(points: np.ndarray) -> float:
     """Return the distance to their median within which nine of ten (N, 3) points lie."""
-    return float(np.percentile(np.linalg.norm(points - np.median(points, axis=0), axis=1), 90))
+    return float(np.percentile(distances_from(np.median(points, axis=0), points), 90))
 
 
 def witnesses(

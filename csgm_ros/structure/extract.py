@@ -11,21 +11,19 @@ from csgm_ros.structure.supervoxels import segment
 from csgm_ros.types import PreparedCloud, Similarity, Structure, Supervoxels
 
 
-def cut(points: np.ndarray, normalization: Similarity, config: Config, relative: float = 1.0) -> Supervoxels:
+def cut(points: np.ndarray, config: Config, relative: float = 1.0) -> Supervoxels:
     """Cut a cloud into supervoxels, the quick half of its structure.
 
     Parameters
     ----------
     points : (N, 3) ndarray
-        Finite points in the cloud's own unit.
-    normalization : Similarity
-        Own unit to radius 1.
+        Finite points in the normalised frame.
     relative : float, optional
         Factor on every length, for clouds between which Eq. (1) is far off.
     """
     part = config.supervoxels
     return segment(
-        normalization.apply(points),
+        points,
         part.voxel_size * relative,
         part.seed_size * relative,
         spatial_weight=part.spatial_weight,
@@ -39,6 +37,8 @@ def describe(
 ) -> Structure:
     """Describe supervoxels; parameters as of :func:`cut`, ``rng`` draws the samples of ESF.
 
+    ``normalization``, from the cloud's own unit to the normalised frame, is kept for those who need the way back.
+
     Raises
     ------
     DegenerateCloudError
@@ -46,7 +46,7 @@ def describe(
     """
     # a voxel without a plane around it has no normal: zero agrees with nothing
     normals = np.where(np.isfinite(supervoxels.voxel_normals), supervoxels.voxel_normals, 0.0)
-    surface = PreparedCloud(supervoxels.voxel_points, normals, normalization)
+    surface = PreparedCloud(supervoxels.voxel_points, normals)
     described = implementation(DESCRIPTORS[config.descriptors.kind])(supervoxels, surface, config, rng, relative)
     # a supervoxel so thin that it has no normal is noise, and no node
     kept = np.isfinite(supervoxels.normals).all(1)
@@ -58,5 +58,12 @@ def describe(
     adjacency = (np.cumsum(kept) - 1)[supervoxels.adjacency[kept[supervoxels.adjacency].all(1)]]
     nodes, node_normals = supervoxels.centroids[kept], supervoxels.normals[kept]
     return Structure(
-        surface, supervoxels.voxel_labels, nodes, node_normals, described[kept], adjacency.astype(np.int32), relative
+        surface,
+        supervoxels.voxel_labels,
+        nodes,
+        node_normals,
+        described[kept],
+        adjacency.astype(np.int32),
+        relative,
+        normalization,
     )

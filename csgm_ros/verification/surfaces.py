@@ -7,7 +7,7 @@ import numpy as np
 from csgm_ros.cloud import nearest_grid
 from csgm_ros.cloud.prepare import prepare
 from csgm_ros.config import Config
-from csgm_ros.types import Similarity, Surface
+from csgm_ros.types import Surface
 
 CELL, REACH = 0.015, 0.045  # of the look-up table, in radii
 MIN_NORMAL_ANGLE = 15.0  # degrees that normals may always differ by: surfaces bend within the inlier distance
@@ -15,12 +15,12 @@ SMOOTH_ROUGH = (7.5, 15.0)  # degrees between neighbouring normals: a surface; n
 MAX_GAP = 2.0  # inlier distances; farther from its points a surface may be anywhere
 
 
-def surface(points: np.ndarray, normalization: Similarity, config: Config, rng: np.random.Generator) -> Surface:
-    """Sample a cloud of (N, 3) points in its own unit; ``rng`` draws the points that are measured."""
+def surface(points: np.ndarray, config: Config, rng: np.random.Generator) -> Surface:
+    """Sample a cloud of (N, 3) points in the normalised frame; ``rng`` draws the points that are measured."""
     from scipy.spatial import cKDTree
 
     part, neighbors = config.verification, config.preprocess.normal_neighbors
-    cloud = prepare(points, normalization, part.fine_voxel_size, neighbors)
+    cloud = prepare(points, part.fine_voxel_size, neighbors)
     tree = cKDTree(cloud.points)
     sample = rng.permutation(len(cloud.points))[: part.fine_samples]
     distances, near = tree.query(cloud.points[sample], k=range(1, min(neighbors, len(cloud.points)) + 1))

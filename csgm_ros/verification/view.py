@@ -72,10 +72,9 @@ class View:
     @cached_property
     def surfaces(self) -> tuple[Surface, Surface]:
         """Source and target, finely sampled."""
-        sides = zip(self.pair.clouds, self.pair.normalizations, strict=True)
         made = []
-        for cloud, unit in sides:
-            made.append(surface(cloud, unit, self._config, self._rng))
+        for points in self.pair.normalized:
+            made.append(surface(points, self._config, self._rng))
             self._look()
         return made[0], made[1]
 
@@ -161,7 +160,7 @@ class View:
             step = round(np.log(scale) / SAME_SCALE)
             used = float(np.exp(step * SAME_SCALE))
         if step not in self._comparisons:
-            sides = zip(self._normalized, (used, 1.0), strict=True)
+            sides = zip(self.pair.normalized, (used, 1.0), strict=True)
             source, target = (points * factor for points, factor in sides)
             sizes = self._cells
             self._look()
@@ -176,14 +175,8 @@ class View:
         return self._comparisons[step], used
 
     @cached_property
-    def _normalized(self) -> tuple[np.ndarray, np.ndarray]:
-        sides = zip(self.pair.clouds, self.pair.normalizations, strict=True)
-        source, target = (unit.apply(cloud) for cloud, unit in sides)
-        return source, target
-
-    @cached_property
     def _cells(self) -> tuple[float, float]:
-        source, target = map(working_cell, self._normalized)
+        source, target = map(working_cell, self.pair.normalized)
         return source, target
 
     def _seen_through(self, transform: Similarity) -> float:

@@ -106,7 +106,7 @@ def report_data(result: RegistrationResult, source: CloudFile, target: CloudFile
     assert result.source_graph is not None
     assert result.target_graph is not None
     first, second = (
-        Segmentation(side.surface.normalization.inverse().apply(side.surface.points), side.labels)
+        Segmentation(side.normalization.inverse().apply(side.surface.points), side.labels)
         for side in details.structures
     )
     facts = {'seed': str(result.seed), 'profile': config.profile, 'seconds': f'{result.seconds:.2f}', **versions()}

@@ -8,7 +8,7 @@ from scenes import random_rotation, random_similarity
 
 from csgm_ros.config import GraphConfig
 from csgm_ros.graph.build import build, euler_descriptors, invariant_descriptors, neighbor_edges
-from csgm_ros.types import Structure
+from csgm_ros.types import Similarity, Structure
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -97,7 +97,7 @@ def test_a_rotation_changes_the_papers_descriptor_but_for_its_length(seed):
 def test_a_graph_keeps_what_it_is_built_from(name, describe):
     _, nodes, normals = drawn(0)
     edges = neighbor_edges(nodes, 3)
-    structure = Structure(None, None, nodes, normals, np.ones((25, 7)), edges, 1.0)
+    structure = Structure(None, None, nodes, normals, np.ones((25, 7)), edges, 1.0, Similarity.identity())
     graph = build(structure, GraphConfig(edges='adjacency', edge_descriptor=name))
     assert graph.nodes is nodes
     assert graph.node_descriptors.shape == (25, 7)

@@ -15,7 +15,7 @@ from csgm_ros.types import NormalizedPair
 
 
 def extract(cloud, unit, config, rng):
-    return describe(cut(cloud, unit, config), unit, config, rng)
+    return describe(cut(unit.apply(cloud), config), unit, config, rng)
 
 
 @pytest.fixture(scope='module')

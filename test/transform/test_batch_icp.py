@@ -21,7 +21,7 @@ TURN = random_rotation(np.random.default_rng(7))
 def sides(first, second):
     """Grids of two clouds, the second turned, and their samples; the truth between them is TURN."""
     units = normalizations(first, first, ScaleConfig())
-    clouds = [prepare(points, unit, 0.03, 20) for points, unit in zip((first, second), units, strict=True)]
+    clouds = [prepare(unit.apply(points), 0.03, 20) for points, unit in zip((first, second), units, strict=True)]
     source = nearest_grid.build(clouds[0].points, clouds[0].normals, 0.025, 0.12)
     target = nearest_grid.build(clouds[1].points @ TURN.T, clouds[1].normals @ TURN.T, 0.025, 0.12)
     rng = np.random.default_rng(0)

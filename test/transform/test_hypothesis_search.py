@@ -18,8 +18,8 @@ from csgm_ros.types import Similarity
 def test_a_source_that_must_shrink_is_scored_as_far_as_any(factor):
     points = room(1, 300)
     unit = Similarity(1.0 / radius(points), np.eye(3), -points.mean(0) / radius(points))
-    target = prepare(points, unit, 0.05, 20)
-    source = prepare(points, Similarity(1.0 / factor, np.eye(3), np.zeros(3)) @ unit, 0.05 / factor, 20)
+    target = prepare(unit.apply(points), 0.05, 20)
+    source = prepare(unit.apply(points) / factor, 0.05 / factor, 20)
     structures = (SimpleNamespace(surface=cloud) for cloud in (source, target))
     pair = SimpleNamespace(**dict(zip(('source', 'target'), structures, strict=True)), scales=(0.5, 2.0))
     grids = search_grids(pair, VerificationConfig())

@@ -30,7 +30,7 @@ def thinned(points, normals):
 
 def sparse_cloud():
     points = room(1, 300)
-    cloud = prepare(points, normalizations(points, points, ScaleConfig())[0], 0.06, 20)
+    cloud = prepare(normalizations(points, points, ScaleConfig())[0].apply(points), 0.06, 20)
     return thinned(cloud.points, cloud.normals)
 
 

@@ -25,7 +25,7 @@ def pair():
     clouds = room(1, 600), room(2, 600)
     unit = normalizations(*clouds, CONFIG.scale)[0]
     rng = np.random.default_rng(0)
-    source, target = (describe(cut(cloud, unit, CONFIG), unit, CONFIG, rng) for cloud in clouds)
+    source, target = (describe(cut(unit.apply(cloud), CONFIG), unit, CONFIG, rng) for cloud in clouds)
     node_affinity = affinity(source.descriptors, target.descriptors, 'gaussian', CONFIG.graph.node_sigma)
     found = [describe_keypoints(side.surface, CONFIG.hypotheses.feature_radius) for side in (source, target)]
     return StructurePair(

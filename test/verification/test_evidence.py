@@ -18,7 +18,7 @@ STAY = Similarity.identity()
 def surfaces(*clouds):
     """The clouds, all in the frame of the first."""
     unit = normalizations(clouds[0], clouds[0], CONFIG.scale)[0]
-    return [surface(cloud, unit, CONFIG, np.random.default_rng(0)) for cloud in clouds]
+    return [surface(unit.apply(cloud), CONFIG, np.random.default_rng(0)) for cloud in clouds]
 
 
 def tilted(cloud, degrees):
