@@ -48,7 +48,7 @@ from csgm_ros.verification.view import View, Viewpoints
 
 NAMES = ('source', 'target')
 GUIDED_WIDTH = 0.25  # seed spacings; with it, matched nodes are at most half of one apart
-LIKELY = 4  # transforms that are compared at two lengths
+LIKELY = 16  # transforms that are compared at two lengths: at one alone, chance decides between parts of a map
 MOST_SHOWN = 4  # hypotheses that people are shown: the answer and the best of what competed with it
 LEAST_EFFORT = {
     'supervoxels.voxel_size': 0.1,

@@ -43,6 +43,11 @@ class Agreement:
         """Precision times coverage."""
         return self.precision * self.coverage
 
+    @property
+    def evidence(self) -> float:
+        """Precision times planes: unlike shares, it does not prefer the scale at which there is least to agree."""
+        return self.precision * self.planes
+
 
 class Comparison:
     """Two clouds in one unit, at one cell, ready to be compared under transforms.

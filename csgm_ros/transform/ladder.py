@@ -100,7 +100,7 @@ class Ladder:
         if comparison is None:
             return 0.0
         agreement = comparison.agreement(transform @ np.diag([back, back, back, 1.0]))
-        return agreement.score if agreement.inliers >= MIN_INLIERS else 0.0
+        return agreement.evidence if agreement.inliers >= MIN_INLIERS else 0.0
 
     def comparison(self, number: int) -> Comparison | None:
         """Return the clouds on a rung, the source enlarged to it; None where one of them shows nothing there."""

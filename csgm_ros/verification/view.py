@@ -93,7 +93,7 @@ class View:
     def score(self, transform: Similarity) -> float:
         """Return how far the clouds agree under a transform at the length of their structure."""
         comparison, scale = self.comparison(transform.scale)
-        return comparison.agreement(_reduced(transform, scale)).score
+        return comparison.agreement(_reduced(transform, scale)).evidence
 
     def refined(self, transform: Similarity) -> Similarity:
         """Return a transform after a short ICP with distances in lengths of the structure."""
