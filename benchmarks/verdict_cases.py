@@ -731,11 +731,14 @@ def simulated(number: int) -> Case:
     return _placed(f'simulated-{number}', 'simulated', number % 2, scene, number % 3 == 2, rng)
 
 
-def cases(share: float = 1.0, half: int | None = None) -> Iterator[Callable[[], Case]]:
-    """Yield makers of the synthetic cases, kind by turns; ``share`` below 1 takes only the first of each kind."""
-    kinds = [(lambda n, kind=kind: synthetic(kind, n), max(LEAST, round(share * most))) for kind, most in SYNTHETIC]
-    kinds.append((simulated, max(LEAST, round(share * SIMULATED))))
-    for number in range(max(count for _, count in kinds)):
-        for make, count in kinds:
+def cases(share: float = 1.0, half: int | None = None) -> Iterator[tuple[str, Callable[[], Case]]]:
+    """Yield names and makers of the synthetic cases, kind by turns; ``share`` below 1 takes the first of each kind."""
+    kinds = [
+        (kind.__name__, lambda n, kind=kind: synthetic(kind, n), max(LEAST, round(share * most)))
+        for kind, most in SYNTHETIC
+    ]
+    kinds.append(('simulated', simulated, max(LEAST, round(share * SIMULATED))))
+    for number in range(max(count for *_, count in kinds)):
+        for name, make, count in kinds:
             if number < count and half in (None, number % 2):
-                yield lambda make=make, number=number: make(number)
+                yield f'{name}-{number}', lambda make=make, number=number: make(number)

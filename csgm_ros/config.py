@@ -262,9 +262,15 @@ class VerificationConfig(Checked):
         4.0, 'independent surfaces that agree, below which a result is rejected', low=0.0, high=1000.0
     )
     min_margin: float = param(
-        2.3,
+        1.9,
         'score over that of the best different transform, found or probed, below which a result is rejected',
         low=1.0,
+        high=100.0,
+    )
+    min_significance: float = param(
+        3.0,
+        'logarithm of that, times the root of the number of surfaces that agree, below which it is rejected too',
+        low=0.0,
         high=100.0,
     )
     max_scale_ratio: float = param(
@@ -275,7 +281,8 @@ class VerificationConfig(Checked):
     )
     max_mirrored: float = param(
         1.0,
-        'score of the mirrored source, relative to that as it is, above which a result is rejected',
+        'score of the mirrored source, relative to that as it is, above which a result is rejected; '
+        'below it too where few surfaces agree',
         low=0.0,
         high=100.0,
     )

@@ -312,13 +312,13 @@ def trial(ratio, *, right, half=1):
 
 def test_trials_of_the_verdict_are_counted_by_right_and_accepted():
     rows = [trial(0.1, right=True), trial(0.9, right=True), trial(0.1, right=False), trial(0.9, right=False)]
-    counted = verdict.numbers([*rows, trial(0.9, right=False, half=0)])
+    counted = verdict.numbers(verdict.decided([*rows, trial(0.9, right=False, half=0)]))
     tested = counted['for testing']
     assert tested['now'] == (1, 1, 1, 1)
     assert tested['0.1.0'] == (2, 0, 2, 0)
     assert sum(row[3] for row in tested['reliability']) == tested['trials'] == 4
     assert counted['for fitting']['now'] == (0, 0, 0, 1)
-    assert '| all | 1 | 1 / 1 | 1 / 1 | 2 / 0 | 2 / 0 |' in verdict.summary(rows)
+    assert '| all | 1 | 1 / 1 | 1 / 1 | 2 / 0 | 2 / 0 |' in verdict.summary(verdict.decided(rows))
 
 
 def test_a_case_is_kept_with_its_trials(tmp_path):

@@ -49,6 +49,26 @@ def margin(findings: Findings) -> float:
     return 1.0 / max([NOTHING, *(rival.ratio for rival in findings.rivals if rival.displacement > NEARBY)])
 
 
+def needed_margin(findings: Findings, limits: VerificationConfig) -> float:
+    """Return the margin that is asked for: the wider, the fewer independent surfaces agree.
+
+    The logarithm of a score that n of them make up is uncertain by about the square root of 1/n.
+    """
+    return max(limits.min_margin, float(np.exp(limits.min_significance * _deviation(findings))))
+
+
+def most_mirrored(findings: Findings, limits: VerificationConfig) -> float:
+    """Return how well the mirrored source may fit: a mirror image is never right, so that is what chance makes fit.
+
+    What has an answer fits better than that, by more than its score is uncertain by.
+    """
+    return limits.max_mirrored * float(np.exp(-_deviation(findings)))
+
+
+def _deviation(findings: Findings) -> float:
+    return 1.0 / np.sqrt(max(findings.agreement.planes, 1.0))
+
+
 def decide(
     evidence: Evidence, findings: Findings, limits: VerificationConfig, units: Units, *, estimate_scale: bool
 ) -> Verdict:
@@ -86,7 +106,7 @@ def _most_confidence(findings: Findings, limits: VerificationConfig) -> float:
     near = any(rival.displacement <= NEARBY and rival.ratio > 1.0 for rival in findings.rivals)
     measured = (
         (findings.seen_through, limits.max_seen_through),
-        (findings.mirrored, limits.max_mirrored),
+        (findings.mirrored, most_mirrored(findings, limits)),
         (findings.half_shift, limits.max_half_shift),
         (_other_scale_ratio(findings), limits.max_scale_ratio),
     )
@@ -96,17 +116,36 @@ def _most_confidence(findings: Findings, limits: VerificationConfig) -> float:
 def _terms(findings: Findings, limits: VerificationConfig) -> tuple[Term, ...]:
     """Return what was measured beside its limits; what was not is left out: it is probed only before acceptance."""
     probed, seen = bool(findings.scale_curve), findings.seen_through > 0.0
-    planes, lead = findings.agreement.planes, margin(findings)
+    planes, lead, needed = findings.agreement.planes, margin(findings), needed_margin(findings, limits)
+    mirrored = most_mirrored(findings, limits)
     return (
         Term('independent surfaces that agree', planes, limits.min_planes, True, 'verification.min_planes'),
-        Term('score over that of the best different one', lead, limits.min_margin, True, 'verification.min_margin'),
+        Term('score over that of the best different one', lead, needed, True, 'verification.min_margin'),
         *(
-            Term(name, value, getattr(limits, parameter), False, f'verification.{parameter}')
-            for name, value, parameter, measured in (
-                ('score at another scale', _other_scale_ratio(findings), 'max_scale_ratio', probed),
-                ('score of the mirrored source', findings.mirrored, 'max_mirrored', probed),
-                ('cells between refinements on halves', findings.half_shift, 'max_half_shift', probed),
-                ('share that a sensor has looked through', findings.seen_through, 'max_seen_through', seen),
+            Term(name, value, limit, False, f'verification.{parameter}')
+            for name, value, limit, parameter, measured in (
+                (
+                    'score at another scale',
+                    _other_scale_ratio(findings),
+                    limits.max_scale_ratio,
+                    'max_scale_ratio',
+                    probed,
+                ),
+                ('score of the mirrored source', findings.mirrored, mirrored, 'max_mirrored', probed),
+                (
+                    'cells between refinements on halves',
+                    findings.half_shift,
+                    limits.max_half_shift,
+                    'max_half_shift',
+                    probed,
+                ),
+                (
+                    'share that a sensor has looked through',
+                    findings.seen_through,
+                    limits.max_seen_through,
+                    'max_seen_through',
+                    seen,
+                ),
             )
             if measured
         ),
@@ -131,10 +170,17 @@ def _doubts(findings: Findings, limits: VerificationConfig, units: Units, *, est
     open_ = _competing(findings, limits)
     if open_:
         yield f'ambiguous: {_words(open_[0], units)}'
-    elif margin(findings) < limits.min_margin:
-        yield f'ambiguous: a margin of {limits.min_margin:g} is asked for by verification.min_margin, none is that wide'
-    if findings.mirrored > limits.max_mirrored:
-        yield f'ambiguous: the source fits {findings.mirrored:.2f} times as well mirrored; is it a mirror image?'
+    elif margin(findings) < (needed := needed_margin(findings, limits)):
+        yield f'ambiguous: a margin of {needed:.3g} is asked for by verification.min_margin, none is that wide'
+    if findings.mirrored > most_mirrored(findings, limits):
+        yield (
+            f'ambiguous: the source fits {findings.mirrored:.2f} times as well mirrored: '
+            + (
+                'is it a mirror image?'
+                if findings.mirrored > limits.max_mirrored
+                else 'a fit by chance, or a symmetric scene'
+            )
+        )
     ratio = _other_scale_ratio(findings)
     if ratio > limits.max_scale_ratio:
         low, high = scale_range(findings, limits)
@@ -155,11 +201,12 @@ def _doubts(findings: Findings, limits: VerificationConfig, units: Units, *, est
 
 def _competing(findings: Findings, limits: VerificationConfig) -> list[Rival]:
     """Return the rivals that fit so well that they leave a doubt, what fits best first."""
+    needed = needed_margin(findings, limits)
     return sorted(
         (
             rival
             for rival in findings.rivals
-            if rival.ratio * (limits.min_margin if rival.displacement > NEARBY else NEARBY_MARGIN) > 1.0
+            if rival.ratio * (needed if rival.displacement > NEARBY else NEARBY_MARGIN) > 1.0
         ),
         key=lambda rival: -rival.ratio,
     )
@@ -189,7 +236,7 @@ def undetermined(findings: Findings, limits: VerificationConfig, units: Units) -
     if (
         findings.agreement.planes < limits.min_planes
         or findings.seen_through > limits.max_seen_through
-        or findings.mirrored > limits.max_mirrored
+        or findings.mirrored > most_mirrored(findings, limits)
     ):
         return None
     open_ = _competing(findings, limits)

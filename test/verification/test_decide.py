@@ -53,7 +53,8 @@ def judged(found, *, estimate_scale=True):
         (findings(found(0.2), slid(0.1, 1.0)), '5.0 times as well'),
         (findings(seen_through=0.1), 'independent surfaces'),
         (findings(Rival(0.8, 3.0)), 'independent surfaces'),  # nearby, but worse
-        (findings(mirrored=1.0), 'independent surfaces'),  # its own mirror image
+        (findings(mirrored=0.79), 'independent surfaces'),
+        (findings(found(0.5), agreement=agreement(planes=60.0), mirrored=0.85), '2.0 times as well'),
         (findings(curve=()), 'independent surfaces'),
         (findings(curve=((0.94, 1.0), (1.06, 1.0), (1.14, 0.1))), 'independent surfaces'),  # the same answer
     ],
@@ -78,6 +79,8 @@ def test_what_nothing_speaks_against_is_accepted(given, said):
         (findings(curve=((0.94, 0.5), (1.06, 1.3), (1.14, 0.4))), 'not settled: it fits 1.30 times as well 1.06 times'),
         (findings(Rival(0.95, 3.0)), 'a different transform'),  # nearby, and as good
         (findings(mirrored=1.5), 'mirror image'),
+        (findings(mirrored=0.82), 'a fit by chance'),  # of 20 surfaces: less than one standard deviation worse
+        (findings(found(0.3), agreement=agreement(planes=5.0)), '0.30 times as well'),  # few surfaces: a wide margin
         (findings(half_shift=2.0), 'halves of the overlap'),
         (findings(half_shift=float('inf')), 'halves of the overlap'),
         (findings(seen_through=0.5), 'looked through 50%'),
