@@ -166,11 +166,11 @@ class View:
             self._look()
             cell = min(sizes[0] * used, sizes[1])
             reach = 2.0 * min(robust_radius(source), robust_radius(target))
-            neighbors, rng = self._config.preprocess.normal_neighbors, np.random.default_rng(0)
-            made = []
+            neighbors, made = self._config.preprocess.normal_neighbors, []
             for points in (source, target):
                 self._look()
-                made.append(witnesses(points, cell, reach, rng, neighbors))
+                # each draws as if it were the only one: which of two is called the source must not matter
+                made.append(witnesses(points, cell, reach, np.random.default_rng(0), neighbors))
             self._comparisons[step] = Comparison(made[0], made[1], cell)
         return self._comparisons[step], used
 
