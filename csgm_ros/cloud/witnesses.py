@@ -22,7 +22,8 @@ from csgm_ros.types import NearestGrid
 
 CELLS = 4000  # of the smaller cloud
 FINE = 2.5  # points a cell, along an edge
-MOST_POINTS, MOST_SAMPLES, SAMPLES = 25000, 8000, 2000
+MOST_POINTS, SAMPLES = 25000, 2000
+ASKED = 8000  # points, if there are so many: of 2000, the margin of a real pair is chance by a third
 NEAR, WIDE = 1.5, 4.1  # cells: where a point must find the other surface, and where ICP may look for it
 COPLANAR_ANGLE, COPLANAR_OFFSET = 15.0, 0.75  # degrees, cells
 ROUGH = (7.5, 15.0)  # degrees between neighbouring normals: a surface; nothing but noise
@@ -43,7 +44,7 @@ class Witnesses:
     sample : (S,) index array
         The points that are asked.
     coplanar : (S,) ndarray
-        How many of the sample lie in the plane of each, itself included.
+        How many of the sample lie in the plane of each, itself included; told from some of them.
     gap : float
         How far aside of a point the surface still is, for sparse clouds.
     bend : float
@@ -106,8 +107,8 @@ def witnesses(
         means = means[rng.permutation(len(means))[:MOST_POINTS]]
     normals = normals_of(means, min(neighbors, len(means)))
     extent = len(occupied(means, lattice_origin(means, cell), cell)[0]) / CELLS
-    count = int(np.clip(SAMPLES * extent, SAMPLES, MOST_SAMPLES))
-    return asked(means, normals, cell, plane_reach, rng, neighbors, count)
+    count = int(np.clip(SAMPLES * extent, SAMPLES, ASKED))
+    return asked(means, normals, cell, plane_reach, rng, neighbors, count, ASKED)
 
 
 def asked(
@@ -118,10 +119,15 @@ def asked(
     rng: np.random.Generator,
     neighbors: int,
     count: int,
+    least: int = 0,
 ) -> Witnesses:
-    """Return the witnesses of a cloud that is evenly sampled, ``count`` of its points asked, see :func:`witnesses`."""
+    """Return the witnesses of a cloud that is evenly sampled, see :func:`witnesses`.
+
+    ``count`` of its points say how many share a plane, so many or ``least`` are asked.
+    """
     order = rng.permutation(len(points))
-    sample = order[:count]
+    sample = order[: max(count, least)]
+    more = len(sample) / len(sample[:count])
     gap, bend = _spacing(points, normals, sample[:1000], neighbors, cell)
     return Witnesses(
         points,
@@ -130,7 +136,8 @@ def asked(
         nearest_grid.build(points, normals, 0.4 * cell, (NEAR + 0.1) * cell),
         order,
         sample,
-        coplanar(points[sample], normals[sample], cosine(COPLANAR_ANGLE), COPLANAR_OFFSET * cell, plane_reach),
+        more
+        * coplanar(points[sample], normals[sample], count, cosine(COPLANAR_ANGLE), COPLANAR_OFFSET * cell, plane_reach),
         gap,
         bend,
     )
@@ -147,15 +154,15 @@ def _spacing(points, normals, some, neighbors: int, cell: float) -> tuple[float,
 
 
 @kernel
-def coplanar(points, normals, min_cosine, max_offset, reach):
-    """Return how many of (S, 3) points lie in the plane of each, within reach of it, itself included."""
+def coplanar(points, normals, most, min_cosine, max_offset, reach):
+    """Return how many of the first ``most`` of (S, 3) points lie in the plane of each, within reach, and itself."""
     # columns, and no branch: vector code
     x, y, z = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()
     u, v, w = normals[:, 0].copy(), normals[:, 1].copy(), normals[:, 2].copy()
     count = np.ones(len(points), np.int64)
     for i in range(len(points)):
-        here = np.int64(0)
-        for j in range(i):
+        here, mutual = np.int64(0), np.int64(i < most)
+        for j in range(min(i, most)):
             a, b, c = x[j] - x[i], y[j] - y[i], z[j] - z[i]
             near = a * a + b * b + c * c <= reach * reach
             parallel = abs(u[i] * u[j] + v[i] * v[j] + w[i] * w[j]) >= min_cosine
@@ -163,6 +170,6 @@ def coplanar(points, normals, min_cosine, max_offset, reach):
             on_second = abs(a * u[j] + b * v[j] + c * w[j]) < max_offset
             both = np.int64(near) & np.int64(parallel) & np.int64(on_first) & np.int64(on_second)
             here += both
-            count[j] += both
+            count[j] += both & mutual
         count[i] += here
     return count
