@@ -64,7 +64,7 @@ BINS = (0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98, 1.0)  # of the reliability cur
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--share', type=float, default=1.0, help='of the cases of each kind (%(default)s)')
-    parser.add_argument('--searched', type=int, default=3, help='of each kind are searched too (%(default)s)')
+    parser.add_argument('--searched', type=int, default=1, help='of each kind are searched too (%(default)s)')
     parser.add_argument('--seeds', type=int, default=1, help='that the steady ones are searched with (%(default)s)')
     parser.add_argument('--swap', action='store_true', help='search the steady ones from target to source too')
     parser.add_argument('--steady', type=int, default=1, help='of each kind are asked to be steady (%(default)s)')
@@ -97,8 +97,8 @@ def harvest(options) -> None:
         if _is_among(name, options.searched) and (name, 0, False) not in done:
             _search(name, 0, False, options.cache)
     steady = [name for name in names if _is_among(name, options.steady)]
-    jobs = [(name, 0, True) for name in steady if options.swap]
-    jobs += [(name, seed, False) for seed in range(1, options.seeds) for name in steady]
+    again = [(seed, False) for seed in range(1, options.seeds)] + [(0, True)] * options.swap
+    jobs = [(name, *run) for name in steady for run in again]
     for job in _until((job for job in jobs if job not in done), options.minutes):
         _search(*job, options.cache)
 

@@ -88,6 +88,15 @@ def test_far_away_nothing_fits(room_view):
     assert fit.rmse == float('inf')
 
 
+def test_which_of_two_clouds_is_the_source_does_not_change_how_far_they_agree(seen):
+    view, truth = seen
+    back = view_of(ROOM[::-1])
+    for moved in (truth, truth @ Similarity(1.02, np.eye(3), np.full(3, 0.02))):
+        forth = view.score(moved)
+        assert back.score(normal(view.pair.in_own_units(moved).inverse(), back)) == pytest.approx(forth, rel=1e-3)
+    assert 0.0 < forth < view.score(truth)
+
+
 def test_a_shrunken_fit_is_worse(room_view):
     truth = normal(TRUTH, room_view)
     ladder = [
