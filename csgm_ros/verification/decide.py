@@ -21,7 +21,7 @@ from csgm_ros.verification.findings import Findings, Rival
 SAME_AXIS = 0.95  # cosine from which two directions are one
 OTHER_SCALE = 0.1  # |log factor| from which another scale is another answer
 MIN_INLIERS = 20
-LOGISTIC = (-5.2, 7.4)  # bias, and slope over the log of the margin; other terms added nothing
+LOGISTIC = (-2.9, 1.4)  # bias, and slope over the margin in its own uncertainty; other terms added nothing
 LACKING, CONTRADICTED, AMBIGUOUS = 0.02, 0.1, 0.5  # most confidence in what is rejected, by why
 NOTHING = 0.05  # the least score, relative to the winner's, that something different has
 NEARBY = 6.0  # cells of displacement up to which a transform is the same but for bent clouds and noise ...
@@ -257,7 +257,7 @@ def undetermined(findings: Findings, limits: VerificationConfig, units: Units) -
 def confidence(findings: Findings) -> float:
     """Return the probability that a transform with such findings is right: logistic, fitted on labelled cases."""
     bias, slope = LOGISTIC
-    return float(1.0 / (1.0 + np.exp(-bias - slope * np.log(margin(findings)))))
+    return float(1.0 / (1.0 + np.exp(-bias - slope * np.log(margin(findings)) / _deviation(findings))))
 
 
 def _other_scale_ratio(findings: Findings) -> float:

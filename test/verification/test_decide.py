@@ -102,8 +102,8 @@ def test_each_doubt_rejects_and_says_so(given, said):
         (findings(agreement=agreement(planes=1.0)), 0.02),
         (findings(seen_through=0.5), 0.1),
         (findings(Rival(4.0, 3.0)), 0.1),
-        (findings(found(0.5)), 0.5),
-        (findings(found(1.0)), 0.01),
+        (findings(found(0.6)), 0.5),
+        (findings(found(1.0)), 0.06),
     ],
 )
 def test_what_is_rejected_has_as_little_confidence_as_its_reason_leaves(given, most):
