@@ -262,7 +262,7 @@ class VerificationConfig(Checked):
         4.0, 'independent surfaces that agree, below which a result is rejected', low=0.0, high=1000.0
     )
     min_margin: float = param(
-        1.9,
+        2.4,
         'score over that of the best different transform, found or probed, below which a result is rejected',
         low=1.0,
         high=100.0,

@@ -19,7 +19,8 @@ Refine = Callable[..., np.ndarray]
 WIDE_DISTANCES, FINE_DISTANCES = (4.0, 2.5, 1.5), (0.75, 0.4)  # cells, of the correspondences of probes
 SAME_DISTANCES = (1.0, 0.5)
 FEW, SOME = 400, 700  # points
-MOST_RIVALS, MOST_MIRRORED = 16, 4  # that are measured on all points, of what is probed
+MOST_RIVALS = 16  # that are measured on all points, of what is probed
+MOST_MIRRORED = 96, 48, 4  # that are kept after the widest distance, after all wide ones, and to be measured
 MIN_OVERLAP = 20  # points, below which there is nothing to probe
 BOARDS = ((5.0, 0.0), (5.0, 0.37), (8.0, 0.0), (8.0, 0.37))  # edge in cells and phase of the checkerboards
 SAME_SCALE, SAME_ANGLE = 0.05, 10.0  # |log factor| and degrees up to which a rival only slides
@@ -122,8 +123,7 @@ def probed(
     distances = *WIDE_DISTANCES, *FINE_DISTANCES
     turned = np.concatenate([symmetries(winner, *overlap), np.array([*others]).reshape(-1, 4, 4)])
     moved = refined(comparison, turned, distances, refine, estimate_scale=estimate_scale)
-    flipped = mirrors(winner, *overlap)
-    mirrored = refined(comparison, flipped, distances, refine, estimate_scale=estimate_scale)
+    flipped = _mirrored(comparison, winner, overlap, refine, estimate_scale=estimate_scale)
     resized = refined(comparison, scales(winner, overlap[0]), distances[2:], refine, estimate_scale=False)
     moved = np.array([other for other in moved if _apart(comparison, winner, other) > SAME]).reshape(-1, 4, 4)
     rivals = [_rival(comparison, winner, agreement, other) for other in _best(comparison, moved, MOST_RIVALS)]
@@ -131,9 +131,27 @@ def probed(
         findings,
         rivals=(*findings.rivals, *rivals),
         scale_curve=tuple((f, _ratio(comparison, m, agreement)) for f, m in zip(SCALES, resized, strict=True)),
-        mirrored=max(_ratio(comparison, m, agreement) for m in _best(comparison, mirrored, MOST_MIRRORED)),
+        mirrored=max(_ratio(comparison, m, agreement) for m in flipped),
         half_shift=half_shift(comparison, winner, overlap[0], refine, estimate_scale=estimate_scale),
     )
+
+
+def _mirrored(
+    comparison: Comparison,
+    winner: np.ndarray,
+    overlap: tuple[np.ndarray, np.ndarray, np.ndarray],
+    refine: Refine,
+    *,
+    estimate_scale: bool,
+) -> np.ndarray:
+    """Return the transforms (H, 4, 4) under which the mirrored source fits best."""
+    source, target = comparison.sides
+    moved = source.points @ winner[:3, :3].T + winner[:3, 3]
+    flipped = mirrors(winner, *overlap, (moved, target.points))
+    for distances, most in zip((WIDE_DISTANCES[:1], WIDE_DISTANCES[1:], FINE_DISTANCES), MOST_MIRRORED, strict=True):
+        flipped = refined(comparison, flipped, distances, refine, estimate_scale=estimate_scale)
+        flipped = _best(comparison, flipped, most)
+    return flipped
 
 
 def _best(comparison: Comparison, transforms: np.ndarray, count: int) -> np.ndarray:
@@ -152,8 +170,10 @@ def refined(
         grids = _grids(comparison, 'wide')
         few = tuple(np.arange(min(FEW, len(grid.points))) for grid in grids)
         moved = refine(moved, grids, few, wide, estimate_scale=estimate_scale)
-    some = tuple(side.sample[:SOME] for side in comparison.sides)
-    return refine(moved, _grids(comparison, 'grid'), some, fine, estimate_scale=estimate_scale)
+    if fine:
+        some = tuple(side.sample[:SOME] for side in comparison.sides)
+        moved = refine(moved, _grids(comparison, 'grid'), some, fine, estimate_scale=estimate_scale)
+    return moved
 
 
 def half_shift(

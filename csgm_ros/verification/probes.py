@@ -6,6 +6,8 @@ turn or a corner blown up is easily proposed, once the winner is known.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 SLIDES = np.array([-1.2, -1.0, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2])  # RMS radii of the overlap
@@ -40,13 +42,24 @@ def symmetries(transform: np.ndarray, points: np.ndarray, normals: np.ndarray, w
     return np.array(found)
 
 
-def mirrors(transform: np.ndarray, points: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return (M, 4, 4): a (4, 4) transform, then a mirror through its overlap's middle, see :func:`symmetries`."""
+def mirrors(
+    transform: np.ndarray,
+    points: np.ndarray,
+    normals: np.ndarray,
+    weights: np.ndarray,
+    clouds: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """Return (M, 4, 4): a (4, 4) transform, then a mirror, see :func:`symmetries`.
+
+    The planes go through the middle of the overlap and of either of the ``clouds`` (N, 3) in the target's frame: of an
+    object that is nearly its own mirror image two views may share only one side.
+    """
     _, along = np.linalg.eigh(np.cov(points.T))
     _, across = np.linalg.eigh((normals * weights[:, None]).T @ normals)
-    middle = _middle(points, across)
+    axes = *_different((*across.T, *along.T)), *_hemisphere(MIRRORS)
     found = []
-    for axis in (*_different((*across.T, *along.T)), *_hemisphere(MIRRORS)):
+    middles = [_middle(part, across) for part in (points, *clouds)]
+    for middle, axis in itertools.product(middles, axes):
         change = np.eye(4)
         change[:3, :3] -= 2.0 * np.outer(axis, axis)
         change[:3, 3] = 2.0 * axis * (axis @ middle)

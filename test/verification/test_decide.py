@@ -54,7 +54,7 @@ def judged(found, *, estimate_scale=True):
         (findings(seen_through=0.1), 'independent surfaces'),
         (findings(Rival(0.8, 3.0)), 'independent surfaces'),  # nearby, but worse
         (findings(mirrored=0.79), 'independent surfaces'),
-        (findings(found(0.5), agreement=agreement(planes=60.0), mirrored=0.85), '2.0 times as well'),
+        (findings(found(0.4), agreement=agreement(planes=60.0), mirrored=0.85), '2.5 times as well'),
         (findings(curve=()), 'independent surfaces'),
         (findings(curve=((0.94, 1.0), (1.06, 1.0), (1.14, 0.1))), 'independent surfaces'),  # the same answer
     ],
@@ -102,7 +102,7 @@ def test_each_doubt_rejects_and_says_so(given, said):
         (findings(agreement=agreement(planes=1.0)), 0.02),
         (findings(seen_through=0.5), 0.1),
         (findings(Rival(4.0, 3.0)), 0.1),
-        (findings(found(0.6)), 0.5),
+        (findings(found(0.5)), 0.5),
         (findings(found(1.0)), 0.06),
     ],
 )
