@@ -42,7 +42,6 @@ ELSEWHERE = 2.0  # tolerances within which what was planted has come back to the
 EVERYTHING = {'verification.different': 0.02}  # that the search has found is kept
 LOOSEST = {
     'min_margin': 1.8,
-    'min_significance': 2.0,
     'min_planes': 0.0,
     'max_seen_through': 1.0,
 }  # of the curves, one at a time
