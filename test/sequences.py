@@ -20,9 +20,14 @@ class Sequence:
 
     def right(self, number, matrix):
         """The rule of the data: 10 cm, 5 degrees, 6 %."""
+        angle, shift, scale = self.errors(number, matrix)
+        return shift < 0.1 and angle < 5 and abs(scale) < 0.06
+
+    def errors(self, number, matrix):
+        """Degrees, metres of mean displacement, relative scale."""
         truth, points = self.truth[number], self.points(number)
         scales = [np.cbrt(np.linalg.det(m[:3, :3])) for m in (matrix, truth)]
         turn = (matrix[:3, :3] / scales[0]) @ (truth[:3, :3] / scales[1]).T
         angle = np.degrees(rotation_angle(turn))
         shift = np.linalg.norm(moved(matrix, points) - moved(truth, points), axis=1).mean() / scales[1]
-        return shift < 0.1 and angle < 5 and abs(scales[0] / scales[1] - 1) < 0.06
+        return angle, shift, scales[0] / scales[1] - 1

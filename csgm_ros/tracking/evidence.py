@@ -68,8 +68,7 @@ def weigh(
     views : sequence of View
         Their matrices lead to the points' frame.
     """
-    out = np.zeros(2)
-    _meet(points, normals, map_surface, transform, 0.6, out)
+    on_map, share = meet(points, normals, map_surface, transform)
     inverse = np.linalg.inv(transform)
     for_, against = np.zeros(len(map_points), np.int32), np.zeros(len(map_points), np.int32)
     for view in views:
@@ -78,7 +77,14 @@ def weigh(
         against += told < 0
     known = for_ + against > 0
     agreement = float((for_[known] / (for_ + against)[known]).mean()) if known.any() else 0.0
-    return Evidence(float(out[0]), float(out[1]), agreement, int(known.sum()))
+    return Evidence(on_map, share, agreement, int(known.sum()))
+
+
+def meet(points: np.ndarray, normals: np.ndarray, map_surface: Surface, transform: np.ndarray) -> tuple[float, float]:
+    """Return ``on_map`` and ``share`` of :class:`Evidence` of (N, 3) points with normals."""
+    out = np.zeros(2)
+    _meet(points, normals, map_surface, transform, 0.6, out)
+    return float(out[0]), float(out[1])
 
 
 @kernel

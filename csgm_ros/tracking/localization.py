@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from csgm_ros.tracking import surface
-from csgm_ros.tracking.alignment import align
-from csgm_ros.tracking.evidence import Evidence, weigh
+from csgm_ros.tracking.alignment import align, align_each
+from csgm_ros.tracking.evidence import Evidence, meet, weigh
 from csgm_ros.tracking.maps import Level, PreparedMap
+from csgm_ros.tracking.scale import APART, vertex
 from csgm_ros.tracking.surface import Surface
 from csgm_ros.tracking.views import View
 
@@ -23,7 +24,7 @@ LEVELS = (1.5, 3.0, 6.0, 12.0)  # edges of a submap's voxels, frame voxels
 SCALES = (0.85, 0.92, 1.08, 1.17)  # tried around the scale of a hypothesis
 VIEWS = 6
 FEW, MANY = 1200, 4000
-GLANCE = 300
+GLANCE, LIKELY = 300, 0.4  # points at a glance; share of the hypotheses that get a second one
 OWN = 1500
 
 
@@ -48,12 +49,37 @@ class Submap:
     points: np.ndarray
     normals: np.ndarray
 
+    def within(self, reach: float) -> np.ndarray:
+        """Return the (N, 3) points no farther from where they were seen than ``reach`` times the median range.
+
+        What is farther is seen and mapped with errors that grow with its range, and covers much of the surface.
+        """
+        centers = np.stack([view.matrix[:3, 3] for view in self.views])
+        points = self.levels[0].points
+        return points[_ranges(points, centers) <= reach * np.median(_ranges(self.points, centers))]
+
 
 class Place(NamedTuple):
-    """A hypothesis where the submap lies: its matrix leads to the map."""
+    """A hypothesis where the submap lies.
+
+    Attributes
+    ----------
+    matrix : (4, 4) ndarray
+        Leads to the map.
+    evidence : Evidence
+        Of a sample of what the frames returned, comparable to that of a single frame.
+    cover : float
+        ``on_map`` of a sample that is even over the surface, as that tells places of one size apart.
+    """
 
     matrix: np.ndarray
     evidence: Evidence
+    cover: float
+
+    @property
+    def score(self) -> float:
+        """All in one number, for ranking: a place must explain near, dense returns as well as wide, sparse ones."""
+        return float(np.sqrt(self.evidence.on_map * self.cover)) * self.evidence.agreement
 
 
 def joined(parts: Sequence[tuple], voxel: float) -> Submap:
@@ -98,29 +124,39 @@ class Localizer:
         places = self._distinct(places)[:count]
         tried = (1.0,) if fixed_scale else (1.0, *SCALES)
         places = [self._best_scale(place, tried) for place in places]
+        if not fixed_scale:
+            places = [self._between_scales(place) for place in places]
         return self._distinct([self.weighed(self.refined(place.matrix, MANY)) for place in places])
 
     def promising(self, hypotheses: np.ndarray, count: int = 12) -> np.ndarray:
         """Return the best of many (H, 4, 4) hypotheses after a look at few points."""
-        found, scores = [], []
         few, own = self._points[:GLANCE], (self._own[0][:GLANCE], self._own[1][:GLANCE])
-        for matrix in hypotheses:
-            start = np.linalg.inv(matrix)
-            for level in (3, 2):
-                surface_ = self._submap.levels[level]
-                start = align(few, None, surface_, start, (surface_.voxel,), iterations=5).matrix
-            matrix = np.linalg.inv(start)
-            found.append(matrix)
+        coarse, middle = self._submap.levels[3], self._submap.levels[2]
+        starts, scores = align_each(few, None, coarse, np.linalg.inv(hypotheses), (coarse.voxel,), iterations=5)
+        likely = np.argsort(-scores, kind='stable')[: max(count, round(len(starts) * LIKELY))]
+        starts, _ = align_each(few, None, middle, starts[likely], (middle.voxel,), iterations=5)
+        found = np.linalg.inv(starts)
+        scores = np.empty(len(found))
+        for k, matrix in enumerate(found):
             near = self.level(scale_of(matrix)).near
-            scores.append(weigh(*own, near, few, matrix, self._submap.views[-2:]).score)
-        return np.stack(found)[np.argsort(-np.array(scores), kind='stable')[:count]]
+            scores[k] = weigh(*own, near, few, matrix, self._submap.views[-2:]).score
+        return found[np.argsort(-scores, kind='stable')[:count]]
 
     def _best_scale(self, place: Place, factors: Sequence[float]) -> Place:
         center = self._own[0].mean(0)
-        found = [
-            self.weighed(self.refined(place.matrix @ scaling(factor, center), FEW, coarse=True)) for factor in factors
-        ]
-        return max(found, key=lambda place: place.evidence.score)
+        found = [self._at_scale(place, np.log(factor), center) for factor in factors]
+        return max(found, key=lambda place: place.score)
+
+    def _between_scales(self, place: Place) -> Place:
+        """Return the place at the scale at which a parabola through its scores is highest: noise hides the best."""
+        center = self._own[0].mean(0)
+        steps = (-APART, 0.0, APART)
+        found = [self._at_scale(place, step, center) for step in steps]
+        growth = vertex([each.score for each in found])
+        return place if growth is None else self._at_scale(place, growth, center)
+
+    def _at_scale(self, place: Place, growth: float, center: np.ndarray) -> Place:
+        return self.weighed(self.refined(place.matrix @ scaling(np.exp(growth), center), FEW, coarse=True))
 
     def refined(self, matrix: np.ndarray, count: int, *, coarse: bool = False) -> np.ndarray:
         """Lay the map on the submap, the scale kept; return the pose of the submap in the map."""
@@ -133,13 +169,15 @@ class Localizer:
 
     def weighed(self, matrix: np.ndarray) -> Place:
         """Return a place with what speaks for it."""
-        near = self.level(scale_of(matrix)).near
-        return Place(matrix, weigh(*self._own, near, self._points, matrix, self._submap.views))
-
-    def seen(self, matrix: np.ndarray) -> Evidence:
-        """Return what the frames say of a place, comparable to what a single one says while tracking."""
         near, submap = self.level(scale_of(matrix)).near, self._submap
-        return weigh(submap.points, submap.normals, near, self._points, matrix, submap.views)
+        evidence = weigh(submap.points, submap.normals, near, self._points, matrix, submap.views)
+        return Place(matrix, evidence, meet(*self._own, near, matrix)[0])
+
+    def alike(self, first: np.ndarray, second: np.ndarray) -> bool:
+        """Return whether two poses (4, 4) put the submap in about the same place."""
+        probe = self._own[0][:60]
+        limit = 6 * self._submap.voxel * scale_of(first)
+        return float(np.linalg.norm(moved(first, probe) - moved(second, probe), axis=1).mean()) <= limit
 
     def level(self, scale: float) -> Level:
         """Return the map at about a scale, map units a metre."""
@@ -150,14 +188,15 @@ class Localizer:
 
     def _distinct(self, places: list[Place]) -> list[Place]:
         """Sort by score; drop what moves the submap to where a better place has it."""
-        probe = self._own[0][:60]
         kept: list[Place] = []
-        for place in sorted(places, key=lambda place: -place.evidence.score):
-            image = moved(place.matrix, probe)
-            limit = 6 * self._submap.voxel * scale_of(place.matrix)
-            if all(np.linalg.norm(image - moved(other.matrix, probe), axis=1).mean() > limit for other in kept):
+        for place in sorted(places, key=lambda place: -place.score):
+            if not any(self.alike(place.matrix, other.matrix) for other in kept):
                 kept.append(place)
         return kept
+
+
+def _ranges(points: np.ndarray, centers: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(points[:, None] - centers, axis=2).min(axis=1)
 
 
 def moved(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -11,8 +11,8 @@ FIRST = 0.03  # sigma of a scale that was just found, relative
 MEASURED = 0.03  # sigma of what one frame says, with what it has in common with the frames before
 LEAST = 0.005  # sigma below which nothing is believed: the map is not quite a similarity of the scene
 LARGEST_STEP = 0.003  # of the scale at a time
-APART = 0.03  # logarithms of the scales that are compared
-HELD = 0.03  # share of its score that the middle scale must lose on both sides together, for the scale to be seen
+APART = 0.06  # logarithms of the scales that are compared
+HELD = 0.05  # share of its score that the middle scale must lose on both sides together, for the scale to be seen
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,11 @@ class Scale:
         """Whether there is a value."""
         return bool(np.isfinite(self.value))
 
+    @property
+    def unconfirmed(self) -> bool:
+        """Whether it was found and no frame has corrected it since."""
+        return self.sigma >= FIRST
+
     def corrected(self, error: float, *, smoothly: bool = True) -> Scale:
         """Return the scale after a frame that says the logarithm is off by ``error``: a Kalman filter's step.
 
@@ -58,6 +63,6 @@ def vertex(scores: Sequence[float]) -> float | None:
     """
     low, middle, high = scores
     bend = low - 2.0 * middle + high
-    if -bend < HELD * middle:
+    if -bend <= HELD * middle:  # also where nothing fits
         return None
     return float(np.clip(0.5 * (low - high) / bend, -1.0, 1.0)) * APART

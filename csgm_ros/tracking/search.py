@@ -21,10 +21,30 @@ LIKELY = 150  # of them that are tried first
 STANDING_OUT = 1.35  # score over that of the next different place, for a place near the prior
 CERTAIN = 3.0  # that times the margin of the verdict: what the views say is other evidence than what two clouds say ...
 LEAST_LEAD, MOST_LEAD = 1.2, 2.7  # ... but neither speaks alone, and it may be that little was found to compare with
+CERTAIN_AGAIN = 4.0  # product of the leads of two looks or more, of which only the first was a search
+PROMISING, LOOKS = 1.5, 4  # such a product with which it is worth to look again before searching, and how often
 AGREEING = 0.8  # share of the map in view that is seen
+ON_MAP = 0.35  # share of what is seen that is on the map, where no verdict has looked at the clouds
 MARGIN = 'verification.min_margin'
 ONE_ATTEMPT = {'hypotheses.relative_scales': (1.0,), 'preprocess.max_surface_variation': 1.0}  # new frames tell more
 SIGMA = 1.0, 45.0, 0.05  # of a sensor that was lost where it was last seen: metres, degrees, relative scale
+
+
+class Candidates(NamedTuple):
+    """Places between which could not be decided yet, for the frames that come next to judge.
+
+    Attributes
+    ----------
+    matrices : (P, 4, 4) ndarray
+        From the frame of the odometry to the map.
+    odds : (P,) ndarray
+        Product over all looks so far of the lead of each place over the best different one.
+    looks : int
+    """
+
+    matrices: np.ndarray
+    odds: np.ndarray
+    looks: int
 
 
 class Query(NamedTuple):
@@ -44,6 +64,12 @@ class Query(NamedTuple):
         with the first. Infinite while none was tracked.
     wide : bool
         Search everywhere, too.
+    reach : float
+        Range up to which the submap is laid on the map by its shape, median ranges: see :meth:`Submap.within`.
+    candidates : Candidates or None
+        What an earlier search in this stretch of odometry could not decide between.
+    fresh : Submap or None
+        Of frames that none of those looks has seen, with ``candidates``.
     """
 
     submap: Submap
@@ -52,13 +78,28 @@ class Query(NamedTuple):
     sensor: np.ndarray
     enough: tuple[float, float] = (np.inf, np.inf)
     wide: bool = True
+    reach: float = np.inf
+    candidates: Candidates | None = None
+    fresh: Submap | None = None
 
 
 class Found(NamedTuple):
-    """The pose of the submap in the map, None where none is certain, and why."""
+    """The pose of the submap in the map, None where none is certain, and why.
+
+    Attributes
+    ----------
+    matrix : (4, 4) ndarray or None
+    reason : str
+    evidence : Evidence or None
+        Of the pose.
+    candidates : Candidates or None
+        Where none is certain, what may be.
+    """
 
     matrix: np.ndarray | None
     reason: str
+    evidence: Evidence | None = None
+    candidates: Candidates | None = None
 
 
 def search(
@@ -77,11 +118,15 @@ def search(
         hypotheses = around(query, rng)
         for some in (hypotheses[:LIKELY], hypotheses[LIKELY:]):
             near = localizer.best(localizer.promising(some, 6), 3, fixed_scale=True)
-            if near and _lead(near) >= STANDING_OUT and _enough(localizer.seen(near[0].matrix), query):
-                return Found(near[0].matrix, 'near where it was expected')
+            if near and _lead(near) >= STANDING_OUT and _enough(near[0].evidence, query):
+                return Found(near[0].matrix, 'near where it was expected', near[0].evidence)
+    if query.candidates is not None and query.fresh is not None:
+        found = look_again(query.candidates, Localizer(query.fresh, prepared, rng), fixed_scale=known)
+        if found.matrix is not None or found.candidates is not None:
+            return found
     if not query.wide:
         return Found(None, 'not near where it was expected')
-    points = query.submap.levels[0].points * (query.scale if known else 1.0)
+    points = query.submap.within(query.reach) * (query.scale if known else 1.0)
     threads = config.threads or max((os.cpu_count() or 1) - 1, 1)  # frames keep coming meanwhile
     config = replaced(config, {'scale.estimate_scale': not known, 'threads': threads, **ONE_ATTEMPT})
     unit = scaling(1.0 if query.scale is None else query.scale, np.zeros(3))
@@ -104,19 +149,54 @@ def _judged(result: RegistrationResult, unit: np.ndarray, localizer: Localizer, 
     if not places:
         return Found(None, result.reason)
     best, lead = places[0], _lead(places)
-    if _enough(localizer.seen(best.matrix), query):
-        return Found(best.matrix, 'as close as where it was tracked')
+    if lead >= STANDING_OUT and _enough(best.evidence, query):
+        return Found(best.matrix, 'as close as where it was tracked', best.evidence)
     if certain(lead, best.evidence, result.verdict):
-        return Found(best.matrix, f'what the sensor saw fits {lead:.1f} times as well as elsewhere; {result.reason}')
-    return Found(None, f'what the sensor saw fits elsewhere {1 / lead:.2f} times as well; {result.reason}')
+        reason = f'what the sensor saw fits {lead:.1f} times as well as elsewhere; {result.reason}'
+        return Found(best.matrix, reason, best.evidence)
+    odds = leads(places, localizer)
+    odds[0] *= min(result.verdict.margin, 1.0 if _doubted(result.verdict) else MOST_LEAD)
+    candidates = Candidates(np.stack([place.matrix for place in places]), odds, 1)
+    reason = f'what the sensor saw fits elsewhere {1 / lead:.2f} times as well; {result.reason}'
+    return Found(None, reason, candidates=candidates)
+
+
+def look_again(candidates: Candidates, localizer: Localizer, *, fixed_scale: bool) -> Found:
+    """Judge places by frames that they were not found with: what fitted by chance does so no more."""
+    places = [localizer.best(matrix[None], fixed_scale=fixed_scale)[0] for matrix in candidates.matrices]
+    now = leads(places, localizer)
+    odds, looks, k = candidates.odds * now, candidates.looks + 1, int(np.argmax(now))
+    best = places[k]
+    fits = best.evidence.agreement >= AGREEING and best.evidence.share >= ON_MAP
+    if fits and odds[k] >= CERTAIN_AGAIN and now[k] >= LEAST_LEAD:
+        return Found(
+            best.matrix, f'of {looks} looks, the last fits {now[k]:.1f} times as well as elsewhere', best.evidence
+        )
+    reason = f'after {looks} looks still {odds[k]:.1f} times as good as elsewhere'
+    if odds.max() < PROMISING or looks >= LOOKS:
+        return Found(None, reason)
+    return Found(None, reason, candidates=Candidates(np.stack([place.matrix for place in places]), odds, looks))
+
+
+def leads(places: list[Place], localizer: Localizer) -> np.ndarray:
+    """Return the score of each place over that of the best different one, as far as a lead counts."""
+    scores = np.array([place.score for place in places])
+    out = np.empty(len(places))
+    for k, place in enumerate(places):
+        others = [scores[j] for j, other in enumerate(places) if not localizer.alike(place.matrix, other.matrix)]
+        out[k] = scores[k] / max(max(others, default=0.0), 1e-9)
+    return np.minimum(out, MOST_LEAD)
+
+
+def _doubted(verdict: Verdict) -> bool:
+    return any(not term.passed for term in verdict.terms if term.parameter != MARGIN)
 
 
 def certain(lead: float, evidence: Evidence, verdict: Verdict) -> bool:
     """Tell whether a place is right, of which views and verdict say how much better it is than a different one."""
-    doubted = any(not term.passed for term in verdict.terms if term.parameter != MARGIN)
     both = min(lead, MOST_LEAD) * verdict.margin
     return (
-        not doubted
+        not _doubted(verdict)
         and both >= CERTAIN
         and lead >= LEAST_LEAD
         and verdict.margin >= 1.0
@@ -158,7 +238,7 @@ def _lead(places: list[Place]) -> float:
     """Return the score of the best of the different places over that of the next."""
     if len(places) < 2:
         return np.inf
-    return places[0].evidence.score / max(places[1].evidence.score, 1e-9)
+    return places[0].score / max(places[1].score, 1e-9)
 
 
 def _enough(evidence: Evidence, query: Query) -> bool:

@@ -13,30 +13,34 @@ from csgm_ros.config import Config, profile
 from csgm_ros.errors import CsgmError, InputError
 from csgm_ros.tracking import frames, localization, maps
 from csgm_ros.tracking.alignment import Fit, align
-from csgm_ros.tracking.evidence import Evidence, weigh
+from csgm_ros.tracking.evidence import Evidence, meet, weigh
 from csgm_ros.tracking.frames import Frame
 from csgm_ros.tracking.localization import scale_of, scaling
 from csgm_ros.tracking.maps import PreparedMap
 from csgm_ros.tracking.odometry import Odometry
 from csgm_ros.tracking.scale import APART, Scale, vertex
-from csgm_ros.tracking.search import Found, Query, expected, search
+from csgm_ros.tracking.search import Candidates, Found, Query, expected, search
 from csgm_ros.tracking.views import seen
 from csgm_ros.types import Estimate, Prior
 
 LOST, LOCALIZING, TRACKING = 'lost', 'localizing', 'tracking'
 MIN_POINTS = 200
 SAMPLES = 2500
-SCALE_EVERY, SCALE_SAMPLES = 5, 1200  # frames between corrections of the scale, points of the map asked
+SCALE_EVERY, SCALE_SAMPLES, SCALE_FRAMES = 5, 1200, 4  # frames between corrections; points of the map, frames asked
 GAIN = 0.5  # of a correction of the map's place relative to the odometry
 SIMILAR = 0.6  # of what was tracked: closeness at which a place is as good
+REACHES = 1.5, np.inf  # of the searches, one after the other: what one does not find, the next may
+FRESH = 0.4  # of the first seconds: new frames that are worth another look
 FLOOR = 0.02, 0.02  # systematic error of a map that is not quite a similarity of the scene: metres, radians
 CORRELATION = 30.0  # neighbouring points share their error: this many count as one
 
 
 class Job(NamedTuple):
-    """A search under way: for which stretch of odometry, and what it found."""
+    """A search under way: for which stretch of odometry, up to when, where the sensor was then, and what it found."""
 
     segment: int
+    stamp: float
+    sensor: np.ndarray
     future: Future
 
 
@@ -83,6 +87,9 @@ class Session:
         self._covariance: np.ndarray | None = None
         self._typical = np.zeros(3)  # closeness, share and agreement of tracked frames
         self._glanced = False  # whether it was looked for near the prior since it was lost
+        self._candidates: Candidates | None = None  # of this segment
+        self._searches = 0  # without success
+        self._looked = -np.inf  # stamp of the newest frame that was searched for
         self._closed = threading.Event()
 
     @property
@@ -180,10 +187,12 @@ class Session:
         if self._place is None:
             return None
         part = self.config.tracking
-        self._refine(frame)
-        evidence = self._evidence(frame)
-        good = evidence.share >= part.min_on_map and evidence.agreement >= part.min_agreement
-        if not good:
+        before = self._place, self._scale
+        self._refine(frame, self._odometry.matrix)
+        evidence = self._evidence(frame, self._odometry.matrix)
+        if evidence.share < part.min_on_map:
+            self._place, self._scale = before  # a frame beside the map cannot tell where it is
+        if not self._good(evidence):
             self._confirmed = 0
             text = f'{evidence.share:.0%} of the frame on the map, {evidence.agreement:.0%} of the map in view seen'
             self._doubt(text)
@@ -205,14 +214,18 @@ class Session:
             return np.inf, np.inf
         return SIMILAR * self._typical[0], 1.0 - 2.0 * (1.0 - self._typical[2])
 
-    def _evidence(self, frame: Frame) -> Evidence:
-        pose = self._place @ self._odometry.matrix
-        return weigh(*frame.sample(1000), self._level.near, self._level.points, pose, (frame.view,))
+    def _evidence(self, frame: Frame, matrix: np.ndarray) -> Evidence:
+        """Weigh the place by a frame that was seen from ``matrix`` (4, 4) in the odometry's frame."""
+        return weigh(*frame.sample(1000), self._level.near, self._level.points, self._place @ matrix, (frame.view,))
 
-    def _refine(self, frame: Frame) -> None:
-        """Lay the map in view on what was seen lately."""
+    def _good(self, evidence: Evidence) -> bool:
+        part = self.config.tracking
+        return evidence.share >= part.min_on_map and evidence.agreement >= part.min_agreement
+
+    def _refine(self, frame: Frame, matrix: np.ndarray) -> None:
+        """Lay the map in view of a frame, which has ``matrix`` in the odometry's frame, on what was seen lately."""
         inverse = np.linalg.inv(self._place)
-        view = frame.view._replace(matrix=self._odometry.matrix)
+        view = frame.view._replace(matrix=matrix)
         visible = np.flatnonzero(seen(self._level.points, inverse, view, 0.15) > 0)
         if len(visible) < 50:
             return
@@ -224,7 +237,7 @@ class Session:
         self._since_scaled += 1
         if self._state != TRACKING or self._since_scaled >= SCALE_EVERY:
             self._since_scaled = 0
-            self._correct_scale(chosen[:SCALE_SAMPLES])
+            self._correct_scale(chosen[:SCALE_SAMPLES], matrix[:3, 3])
 
     def _laid(self, chosen: np.ndarray, start: np.ndarray) -> Fit:
         """Lay chosen points of the map on what was seen lately, the scale kept."""
@@ -234,13 +247,25 @@ class Session:
             start = fit.matrix
         return fit
 
-    def _correct_scale(self, chosen: np.ndarray) -> None:
-        """Lay the map on what was seen at three scales about the sensor's place; that place stays where it is."""
-        inverse, sensor = np.linalg.inv(self._place), self._odometry.matrix[:3, 3]
-        grown = [scaling(np.exp(step), sensor) for step in (-APART, 0.0, APART)]
-        growth = vertex([self._laid(chosen, matrix @ inverse).score for matrix in grown])
-        if growth is not None:  # the map, in metres, is too small by it: fewer of its units make a metre
-            corrected = self._scale.corrected(-growth, smoothly=self._state == TRACKING)
+    def _correct_scale(self, chosen: np.ndarray, sensor: np.ndarray) -> None:
+        """Lay the map on what was seen at three scales about the sensor's place; that place stays where it is.
+
+        Each cloud is scored on the other: points scattered about a surface fit what is nearer better, whichever cloud
+        they belong to, so that the two scores err in opposite directions.
+        """
+        inverse, lately = np.linalg.inv(self._place), self._recent[::-SCALE_EVERY][:SCALE_FRAMES]
+        ours, theirs = [], []
+        for step in (-APART, 0.0, APART):
+            fit = self._laid(chosen, scaling(np.exp(step), sensor) @ inverse)
+            theirs.append(fit.score)
+            place = np.linalg.inv(fit.matrix)
+            ours.append(
+                sum(meet(*frame.sample(1000), self._level.near, place @ matrix)[0] for _, frame, matrix in lately)
+            )
+        growths = vertex(ours), vertex(theirs)
+        if growths[0] is not None and growths[1] is not None:
+            error = -0.5 * (growths[0] + growths[1])  # a map, in metres, that is too small: fewer units make a metre
+            corrected = self._scale.corrected(error, smoothly=self._state == TRACKING)
             self._place = self._place @ scaling(corrected.value / scale_of(self._place), sensor)
             self._scale = corrected
 
@@ -279,6 +304,7 @@ class Session:
     def _lose(self, state: str, reason: str) -> None:
         self._segment += 1
         self._glanced = False
+        self._candidates, self._looked = None, -np.inf
         self._place, self._confirmed = None, 0
         self._state, self._reason = state, reason
 
@@ -290,15 +316,22 @@ class Session:
             return
         known = self._scale.known
         glance = known and self._prior is not None and not self._glanced
-        wide = self._recent[-1][0] - self._recent[0][0] >= part.first_seconds * (0.5 if known else 1.0)
-        if not wide and not (glance and len(self._recent) > 1):
+        wide = _span(self._recent) >= part.first_seconds * (0.5 if known else 1.0)
+        if not wide and not glance:
             return
+        fresh = [item for item in self._recent if item[0] > self._looked]
+        if not glance and self._looked > -np.inf and not _span(fresh) >= FRESH * part.first_seconds:
+            return  # the same frames again would tell the same
         self._glanced = True
-        submap = localization.joined([(frame, matrix) for _, frame, matrix in self._recent], self._voxel)
         scale = self._scale.value if known else None
-        query = Query(submap, scale, self._prior, self._odometry.matrix, self._enough(), wide)
+        reach = REACHES[self._searches % len(REACHES)]
+        submap, sensor = self._joined(self._recent), self._odometry.matrix
+        query = Query(submap, scale, self._prior, sensor, self._enough(), wide, reach)
+        if self._candidates is not None:
+            query = query._replace(candidates=self._candidates, fresh=self._joined(fresh))
         inputs = query, self._map, self.config, self._seed, self._closed
-        self._job = Job(self._segment, _submitted(self._executor, *inputs))
+        self._job = Job(self._segment, stamp, sensor, _submitted(self._executor, *inputs))
+        self._looked = stamp if wide else self._looked
         if self._state == LOST:
             self._state, self._reason = LOCALIZING, f'searching: {self._reason}'
         self._collect()
@@ -310,18 +343,42 @@ class Session:
             return
         self._job = None
         found = _outcome(job.future)
+        settled = self._scale.known
+        if found.matrix is not None:
+            self._learn(found.matrix, found.evidence, job.sensor)
         if job.segment != self._segment:
             return
+        self._candidates = found.candidates
         if found.matrix is None:
+            self._searches += found.candidates is None or found.candidates.looks == 1
+            if self._searches > len(REACHES) and self._scale.unconfirmed:
+                self._scale, self._prior, self._searches = Scale(), None, 0
             if self._place is None:
                 self._reason = f'not found: {found.reason}'
             return
+        self._searches = 0
         self._place, self._confirmed = found.matrix, 0
         self._supported = self._stamp
-        if not self._scale.known:
-            self._scale = Scale.found(scale_of(found.matrix))
         self._level = self._map.level(self._voxel * self._scale.value)
         self._state, self._reason = LOCALIZING, f'found: {found.reason}'
+        if settled:
+            for stamp, frame, matrix in self._recent:
+                self._confirmed += stamp > job.stamp and self._good(self._evidence(frame, matrix))
+            return
+        for _, frame, matrix in self._recent[::-SCALE_EVERY]:  # so that the first pose has a scale that many agree on
+            self._refine(frame, matrix)
+
+    def _learn(self, matrix: np.ndarray, evidence: Evidence | None, sensor: np.ndarray) -> None:
+        """Keep what a place tells beyond its stretch of odometry, even if that has ended meanwhile."""
+        if self._scale.known:
+            return
+        self._scale = Scale.found(scale_of(matrix))
+        self._prior = self._prior or expected(matrix @ sensor)
+        if evidence is not None and not self._typical.any():
+            self._typical = np.array(evidence[:3])
+
+    def _joined(self, items: list[tuple[float, Frame, np.ndarray]]) -> localization.Submap:
+        return localization.joined([(frame, matrix) for _, frame, matrix in items], self._voxel)
 
 
 def warm_up() -> None:
@@ -339,6 +396,11 @@ def warm_up() -> None:
     session._prior, session._typical = expected(np.eye(4)), np.array((1e-3, 0.0, 0.5))
     submap = localization.joined([(frame, np.eye(4))], 0.03)
     search(Query(submap, 1.0, session._prior, np.eye(4), (0.0, 0.0)), session._map, session.config, 0)
+
+
+def _span(items: list[tuple[float, Frame, np.ndarray]]) -> float:
+    """Return the seconds from the first to the last of some frames; negative where there is none."""
+    return items[-1][0] - items[0][0] if items else -1.0
 
 
 def _submitted(executor: Executor | None, *inputs) -> Future:

@@ -7,6 +7,7 @@ import pytest
 from sequences import Sequence
 
 from csgm_ros import Session
+from csgm_ros.config import profile, replaced
 from csgm_ros.errors import InputError
 from csgm_ros.tracking import frames, maps, scale, surface, views
 from csgm_ros.tracking.alignment import align
@@ -129,6 +130,42 @@ def test_a_scale_that_is_off_is_corrected_without_a_jump(kitchen):
     assert estimate.scale_sigma < 0.02
 
 
+def told(sequence, numbers, factor=1.0):
+    """Follow from the true pose, at a scale that is off by a factor, as if a search had ended."""
+    config = replaced(profile(), {'tracking.first_seconds': 0.3})
+    session, first = Session(sequence.map, config, executor=Never()), None
+    for k in numbers:
+        estimate = session.add(sequence.points(k), sequence.stamps[k])
+        if first is None and session._job is not None:
+            first, sensor = k, session._odometry.matrix
+            place = sequence.truth[k] @ np.linalg.inv(sensor) @ scaling(factor, sensor[:3, 3])
+            session._job.future.set_result(Found(place, 'told'))
+        yield k, session, estimate
+
+
+@pytest.fixture(scope='module')
+def desk(shared):
+    return Sequence(shared / 'data' / 'sequence_desk')
+
+
+def test_a_look_beside_the_map_does_not_move_the_place(desk):
+    for k, _, estimate in told(desk, range(3, 22)):  # 13 to 18 are off the map
+        given = estimate.T_map_sensor
+        assert given is None or not 14 <= k <= 17
+        if given is not None and k > 18:
+            angle, shift, _ = desk.errors(k, given)
+            assert angle < 10
+            assert shift < 0.2
+    assert given is not None
+
+
+@pytest.mark.parametrize('factor', [0.94, 1.06])
+def test_a_noisy_map_pulls_the_scale_to_neither_side(desk, factor):
+    true = scale_of(desk.truth[0])
+    *_, (_, session, _) = told(desk, range(115, 140), factor)
+    assert abs(np.log(session.scale / true)) < 0.9 * abs(np.log(factor))
+
+
 def test_the_scale_is_where_three_scores_say_and_one_wall_says_nothing():
     step = scale.APART
     for truth in (-0.8 * step, 0.0, 0.3 * step):
@@ -138,6 +175,7 @@ def test_the_scale_is_where_three_scores_say_and_one_wall_says_nothing():
     assert abs(scale.vertex((0.1, 0.5, 0.8))) <= step
     assert scale.vertex((0.5, 0.5, 0.5)) is None
     assert scale.vertex((0.6, 0.5, 0.6)) is None
+    assert scale.vertex((0.0, 0.0, 0.0)) is None
 
 
 def test_a_scale_is_believed_the_more_the_longer_but_never_beyond_what_a_map_is_worth():
