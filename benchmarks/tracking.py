@@ -352,6 +352,7 @@ def main() -> None:
         return
     if options.quick:
         options.sequences, options.parts = ['kitchen'], ['replay']
+    options.results.mkdir(parents=True, exist_ok=True)
     file = options.results / 'tracking.json'
     kept = json.loads(file.read_text()) if file.exists() else {}
     for name in options.sequences:
