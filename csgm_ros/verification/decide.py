@@ -117,35 +117,17 @@ def _terms(findings: Findings, limits: VerificationConfig) -> tuple[Term, ...]:
     """Return what was measured beside its limits; what was not is left out: it is probed only before acceptance."""
     probed, seen = bool(findings.scale_curve), findings.seen_through > 0.0
     planes, lead, needed = findings.agreement.planes, margin(findings), needed_margin(findings, limits)
-    mirrored = most_mirrored(findings, limits)
+    most = vars(limits) | {'max_mirrored': most_mirrored(findings, limits)}
     return (
         Term('independent surfaces that agree', planes, limits.min_planes, True, 'verification.min_planes'),
         Term('score over that of the best different one', lead, needed, True, 'verification.min_margin'),
         *(
-            Term(name, value, limit, False, f'verification.{parameter}')
-            for name, value, limit, parameter, measured in (
-                (
-                    'score at another scale',
-                    _other_scale_ratio(findings),
-                    limits.max_scale_ratio,
-                    'max_scale_ratio',
-                    probed,
-                ),
-                ('score of the mirrored source', findings.mirrored, mirrored, 'max_mirrored', probed),
-                (
-                    'cells between refinements on halves',
-                    findings.half_shift,
-                    limits.max_half_shift,
-                    'max_half_shift',
-                    probed,
-                ),
-                (
-                    'share that a sensor has looked through',
-                    findings.seen_through,
-                    limits.max_seen_through,
-                    'max_seen_through',
-                    seen,
-                ),
+            Term(name, value, most[parameter], False, f'verification.{parameter}')
+            for name, value, parameter, measured in (
+                ('score at another scale', _other_scale_ratio(findings), 'max_scale_ratio', probed),
+                ('score of the mirrored source', findings.mirrored, 'max_mirrored', probed),
+                ('cells between refinements on halves', findings.half_shift, 'max_half_shift', probed),
+                ('share that a sensor has looked through', findings.seen_through, 'max_seen_through', seen),
             )
             if measured
         ),
