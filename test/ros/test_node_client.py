@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -81,3 +82,15 @@ def test_functions_do_the_same(node, client):
     assert calls.status().state == 'active'
     assert calls.deactivate().success
     assert calls.cleanup().success
+
+
+def test_no_answer_is_lost_while_others_ask_as_fast_as_they_are_answered(node):
+    def ask(_):
+        end, answers = time.monotonic() + 8.0, 0
+        with calls.Client() as client:
+            while time.monotonic() < end:
+                answers += bool(client.transitions())  # raises where no answer comes
+        return answers
+
+    with ThreadPoolExecutor(6) as threads:
+        assert min(threads.map(ask, range(6))) > 1

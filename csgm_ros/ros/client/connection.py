@@ -16,6 +16,7 @@ from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
 from csgm_ros.errors import CsgmError
@@ -29,6 +30,7 @@ DISCOVERY = 6.0  # seconds for a node to be found that is there: it takes up to 
 CONFIGURING, REGISTERING = 300.0, 600.0  # seconds: compiling for the first time takes a minute
 PROBE = 0.5
 CLIENT = 'csgm_client_'
+ANSWERS = QoSProfile(depth=1000)  # a service answers into the queue of each client: of 10, others' push ours out
 
 
 class NoAnswerError(CsgmError):
@@ -108,7 +110,7 @@ class Client:
         kinds = {'change_state': ChangeState, 'get_available_transitions': GetAvailableTransitions}
         self._triggers = {name: self._create(Trigger, name) for name in TRIGGERS}
         self._clients = {name: self._create(kind, name) for name, kind in kinds.items()}
-        self._parameters = AsyncParameterClient(self._node, self.node_name)
+        self._parameters = AsyncParameterClient(self._node, self.node_name, qos_profile=ANSWERS)
         self._clients['get_state'] = self._create(GetState, 'get_state')
         try:
             self._connect()
@@ -225,7 +227,7 @@ class Client:
         return self.get_parameters(self._result(future, self.timeout, 'list_parameters').result.names)
 
     def _create(self, kind: type, service: str) -> rclpy.client.Client:
-        return self._node.create_client(kind, f'{self.node_name}/{service}')
+        return self._node.create_client(kind, f'{self.node_name}/{service}', qos_profile=ANSWERS)
 
     def _connect(self) -> None:
         """Ask for the state until it is answered, and wait for the other services.
