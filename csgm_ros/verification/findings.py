@@ -96,6 +96,24 @@ class Findings:
     seen_through: float = 0.0
 
 
+@dataclass(frozen=True, eq=False)
+class Probes:
+    """What was probed of a winner, whatever competes with it; see :class:`Findings`.
+
+    Attributes
+    ----------
+    moved : (S, 4, 4) ndarray
+        Where its slides and turns ended.
+    scale_curve : tuple of (float, float)
+    mirrored, half_shift : float
+    """
+
+    moved: np.ndarray
+    scale_curve: tuple[tuple[float, float], ...]
+    mirrored: float
+    half_shift: float
+
+
 def compared(comparison: Comparison, winner: np.ndarray, others: Iterable[np.ndarray]) -> Findings:
     """Return what the other finalists of the search, (4, 4) transforms, say about the winner."""
     agreement = comparison.agreement(winner)
@@ -103,36 +121,49 @@ def compared(comparison: Comparison, winner: np.ndarray, others: Iterable[np.nda
     return Findings(agreement, tuple(rival for rival in rivals if rival.displacement > SAME))
 
 
-def probed(
-    comparison: Comparison,
-    winner: np.ndarray,
-    others: Iterable[np.ndarray],
-    findings: Findings,
-    refine: Refine,
-    *,
-    estimate_scale: bool,
-) -> Findings:
-    """Return the findings with those of symmetry probes, other scales and halves added.
-
-    The other finalists compete once more, refined as the probes are: what the search left them at is chance.
-    """
+def probe(
+    comparison: Comparison, winner: np.ndarray, agreement: Agreement, refine: Refine, *, estimate_scale: bool
+) -> Probes | None:
+    """Return what symmetry probes, other scales and halves say about a winner; None where there is too little."""
     overlap = comparison.overlap(winner)
     if len(overlap[0]) < MIN_OVERLAP:
-        return replace(findings, half_shift=float('inf'))
-    agreement = findings.agreement
-    distances = *WIDE_DISTANCES, *FINE_DISTANCES
-    turned = np.concatenate([symmetries(winner, *overlap), np.array([*others]).reshape(-1, 4, 4)])
-    moved = refined(comparison, turned, distances, refine, estimate_scale=estimate_scale)
+        return None
+    moved = competing(comparison, symmetries(winner, *overlap), refine, estimate_scale=estimate_scale)
     flipped = _mirrored(comparison, winner, overlap, refine, estimate_scale=estimate_scale)
-    resized = refined(comparison, scales(winner, overlap[0]), distances[2:], refine, estimate_scale=False)
+    distances = *WIDE_DISTANCES[2:], *FINE_DISTANCES
+    resized = refined(comparison, scales(winner, overlap[0]), distances, refine, estimate_scale=False)
+    return Probes(
+        moved,
+        tuple((f, _ratio(comparison, m, agreement)) for f, m in zip(SCALES, resized, strict=True)),
+        max(_ratio(comparison, m, agreement) for m in flipped),
+        half_shift(comparison, winner, overlap[0], refine, estimate_scale=estimate_scale),
+    )
+
+
+def competing(comparison: Comparison, moved: np.ndarray, refine: Refine, *, estimate_scale: bool) -> np.ndarray:
+    """Refine (H, 4, 4) transforms that may fit as well as a winner."""
+    return refined(comparison, moved, (*WIDE_DISTANCES, *FINE_DISTANCES), refine, estimate_scale=estimate_scale)
+
+
+def probed(
+    comparison: Comparison, winner: np.ndarray, findings: Findings, probes: Probes | None, others: np.ndarray
+) -> Findings:
+    """Return the findings with those of probes added.
+
+    The other finalists (N, 4, 4) compete once more, refined as the probes are: what the search left them at is chance.
+    """
+    if probes is None:
+        return replace(findings, half_shift=float('inf'))
+    moved = np.concatenate([probes.moved, others])
     moved = np.array([other for other in moved if _apart(comparison, winner, other) > SAME]).reshape(-1, 4, 4)
+    agreement = findings.agreement
     rivals = [_rival(comparison, winner, agreement, other) for other in _best(comparison, moved, MOST_RIVALS)]
     return replace(
         findings,
         rivals=(*findings.rivals, *rivals),
-        scale_curve=tuple((f, _ratio(comparison, m, agreement)) for f, m in zip(SCALES, resized, strict=True)),
-        mirrored=max(_ratio(comparison, m, agreement) for m in flipped),
-        half_shift=half_shift(comparison, winner, overlap[0], refine, estimate_scale=estimate_scale),
+        scale_curve=probes.scale_curve,
+        mirrored=probes.mirrored,
+        half_shift=probes.half_shift,
     )
 
 

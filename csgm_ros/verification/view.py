@@ -15,7 +15,17 @@ from csgm_ros.progress import Look, unhurried
 from csgm_ros.types import NormalizedPair, Similarity, Surface, Verdict
 from csgm_ros.verification.decide import Units, decide, within_bounds
 from csgm_ros.verification.evidence import Evidence, measure
-from csgm_ros.verification.findings import SAME_DISTANCES, Findings, Refine, compared, probed, refined
+from csgm_ros.verification.findings import (
+    SAME_DISTANCES,
+    Findings,
+    Probes,
+    Refine,
+    compared,
+    competing,
+    probe,
+    probed,
+    refined,
+)
 from csgm_ros.verification.free_space import seen_through
 from csgm_ros.verification.surfaces import normal_angle, surface
 
@@ -68,6 +78,8 @@ class View:
         self._config, self._rng, self._refine = config, rng, refine
         self._viewpoints, self._smoothed, self._look = viewpoints, smoothed, look
         self._comparisons: dict[int, Comparison] = {}
+        self._probes: dict[bytes, Probes | None] = {}
+        self._competing: dict[tuple[float, bytes], np.ndarray] = {}
 
     @cached_property
     def surfaces(self) -> tuple[Surface, Surface]:
@@ -125,17 +137,24 @@ class View:
         return replace(findings, seen_through=self._seen_through(transform))
 
     def probed(self, transform: Similarity, others: Iterable[Similarity], findings: Findings) -> Findings:
-        """Return the findings with those of probes added, see :func:`csgm_ros.verification.findings.probed`."""
+        """Return the findings with those of probes added, see :func:`csgm_ros.verification.findings.probed`.
+
+        A winner mostly stays what it is whatever another source adds, and so do most of those that compete with it:
+        each is probed once.
+        """
         comparison, scale = self.comparison(transform.scale)
-        reduced = [_reduced(other, scale) for other in others]
-        return probed(
-            comparison,
-            _reduced(transform, scale),
-            reduced,
-            findings,
-            self._looking,
-            estimate_scale=self._config.scale.estimate_scale,
-        )
+        winner, key = _reduced(transform, scale), transform.matrix.tobytes()
+        how: dict[str, bool] = {'estimate_scale': self._config.scale.estimate_scale}
+        if key not in self._probes:
+            self._probes[key] = probe(comparison, winner, findings.agreement, self._looking, **how)
+        rivals = []
+        for other in others:
+            place = scale, other.matrix.tobytes()
+            if place not in self._competing:
+                start = _reduced(other, scale)[None]
+                self._competing[place] = competing(comparison, start, self._looking, **how)[0]
+            rivals.append(self._competing[place])
+        return probed(comparison, winner, findings, self._probes[key], np.array(rivals).reshape(-1, 4, 4))
 
     def _looking(self, *asked, **options) -> np.ndarray:
         """Refine, once there was a look at the clock."""

@@ -255,3 +255,23 @@ def test_each_threshold_can_reject(threshold):
 def test_the_same_clouds_and_seed_give_the_same_bits():
     first, second = view_of(ROOM), view_of(ROOM)
     assert judged(first, normal(TRUTH, first)) == judged(second, normal(TRUTH, second))
+
+
+def test_a_winner_is_probed_once(seen):
+    view, truth = seen
+    refined, refine = [], view._refine
+
+    def counted(transforms, *asked, **options):
+        refined.append(len(transforms))
+        return refine(transforms, *asked, **options)
+
+    view._refine = counted
+    best = view.measure(truth)
+    assert view.judge(best).accepted
+    first = sum(refined)
+    view.measured += map(view.measure, wrong_ones(2))
+    again = view.judge(best)
+    assert sum(refined) - first <= 4  # the two that are new, wide and fine
+    fresh = view_of(ROOM)
+    fresh.measured += map(fresh.measure, wrong_ones(2))
+    assert fresh.judge(best) == again
