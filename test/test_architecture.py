@@ -21,7 +21,7 @@ ROOMS = {
     'demo': {'io', 'visual', 'ros'},
     'ros': {'registration', 'io', 'visual', 'tracking'},
     'cli': {'registration', 'scale', 'structure', 'io', 'visual', 'demo', 'tracking', 'batch'},
-    'tracking': {'registration', 'io'},
+    'tracking': {'scale', 'transform', 'io'},
     'batch': {'registration', 'io', 'visual'},
     'launch': set(),
 }

@@ -217,8 +217,6 @@ def carried(covariance: np.ndarray, arm: np.ndarray) -> np.ndarray:
 @functools.cache
 def warm_up_once() -> None:
     """Import and compile what tracking and localising need."""
-    from csgm_ros.registration import warm_up
-    from csgm_ros.tracking.session import warm_up as warm_up_tracking
+    from csgm_ros.tracking.session import warm_up
 
     warm_up()
-    warm_up_tracking()

@@ -15,7 +15,7 @@ import numpy as np
 from csgm_ros.tracking import surface
 from csgm_ros.tracking.alignment import align, align_each
 from csgm_ros.tracking.evidence import Evidence, meet, weigh
-from csgm_ros.tracking.maps import Level, PreparedMap
+from csgm_ros.tracking.maps import PreparedMap
 from csgm_ros.tracking.scale import APART, vertex
 from csgm_ros.tracking.surface import Surface
 from csgm_ros.tracking.views import View
@@ -26,6 +26,9 @@ VIEWS = 6
 FEW, MANY = 1200, 4000
 GLANCE, LIKELY = 300, 0.4  # points at a glance; share of the hypotheses that get a second one
 OWN = 1500
+RIVAL = 0.5  # of the best score that a place must have, to be tried at other scales
+SAME, DIFFERENT = 6.0, 12.0  # voxels of mean displacement up to which two places are one, and from which they compete
+OTHER_SCALE = 0.3  # |log ratio| from which they compete, too
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +114,7 @@ class Localizer:
 
     def __init__(self, submap: Submap, prepared: PreparedMap, rng: np.random.Generator):
         self._submap, self._map = submap, prepared
-        self._levels: dict[int, Level] = {}
+        self._near: dict[int, Surface] = {}
         order = rng.permutation(len(prepared.points))[:MANY]
         self._points, self._normals = prepared.points[order], prepared.normals[order]
         fine = submap.levels[1]
@@ -119,17 +122,23 @@ class Localizer:
         self._own = fine.points[order], fine.normals[order]  # evenly over the surface, as that tells places apart
 
     def best(self, hypotheses: np.ndarray, count: int = 8, *, fixed_scale: bool = False) -> list[Place]:
-        """Refine (H, 4, 4) hypotheses (submap to map) and return the best different places, best first."""
-        places = [self.weighed(self.refined(matrix, FEW, coarse=True)) for matrix in hypotheses]
-        places = self._distinct(places)[:count]
-        tried = (1.0,) if fixed_scale else (1.0, *SCALES)
-        places = [self._best_scale(place, tried) for place in places]
+        """Refine (H, 4, 4) hypotheses (submap to map), likely ones first; return the best different places, best first.
+
+        It ends with the first ``count`` different places.
+        """
+        places: list[Place] = []
+        for matrix in hypotheses:
+            places = self.distinct([*places, self.weighed(self.refined(matrix, FEW, coarse=True))])
+            if len(places) == count:
+                break
         if not fixed_scale:
-            places = [self._between_scales(place) for place in places]
-        return self._distinct([self.weighed(self.refined(place.matrix, MANY)) for place in places])
+            rivals = [place for place in places if place.score >= RIVAL * places[0].score]
+            others = places[len(rivals) :]
+            places = [self._between_scales(self._best_scale(place, (1.0, *SCALES))) for place in rivals] + others
+        return self.distinct([self.weighed(self.refined(place.matrix, MANY)) for place in places])
 
     def promising(self, hypotheses: np.ndarray, count: int = 12) -> np.ndarray:
-        """Return the best of many (H, 4, 4) hypotheses after a look at few points."""
+        """Return the best different ones of many (H, 4, 4) hypotheses after a look at few points."""
         few, own = self._points[:GLANCE], (self._own[0][:GLANCE], self._own[1][:GLANCE])
         coarse, middle = self._submap.levels[3], self._submap.levels[2]
         starts, scores = align_each(few, None, coarse, np.linalg.inv(hypotheses), (coarse.voxel,), iterations=5)
@@ -138,9 +147,13 @@ class Localizer:
         found = np.linalg.inv(starts)
         scores = np.empty(len(found))
         for k, matrix in enumerate(found):
-            near = self.level(scale_of(matrix)).near
+            near = self._near_at(scale_of(matrix))
             scores[k] = weigh(*own, near, few, matrix, self._submap.views[-2:]).score
-        return found[np.argsort(-scores, kind='stable')[:count]]
+        kept: list[np.ndarray] = []
+        for matrix in found[np.argsort(-scores, kind='stable')]:
+            if len(kept) < count and not any(self.alike(matrix, other) for other in kept):
+                kept.append(matrix)
+        return np.array(kept).reshape(-1, 4, 4)
 
     def _best_scale(self, place: Place, factors: Sequence[float]) -> Place:
         center = self._own[0].mean(0)
@@ -169,24 +182,50 @@ class Localizer:
 
     def weighed(self, matrix: np.ndarray) -> Place:
         """Return a place with what speaks for it."""
-        near, submap = self.level(scale_of(matrix)).near, self._submap
+        near, submap = self._near_at(scale_of(matrix)), self._submap
         evidence = weigh(submap.points, submap.normals, near, self._points, matrix, submap.views)
         return Place(matrix, evidence, meet(*self._own, near, matrix)[0])
 
     def alike(self, first: np.ndarray, second: np.ndarray) -> bool:
-        """Return whether two poses (4, 4) put the submap in about the same place."""
+        """Return whether two poses (4, 4) put the submap in the same place."""
+        return self._apart(first, second) <= SAME
+
+    def rivals(self, places: Sequence[Place]) -> np.ndarray:
+        """Return which places exclude each other, (P, P) bool.
+
+        Tracking settles a place that is a little beside the right one, and a scale that is a little off: what leads to
+        the other place at that one's scale is no rival.
+        """
+        out = np.zeros((len(places), len(places)), bool)
+        for k, place in enumerate(places):
+            for n, other in enumerate(places[:k]):
+                out[k, n] = out[n, k] = self._exclude(other.matrix, place.matrix)
+        return out
+
+    def _exclude(self, better: np.ndarray, worse: np.ndarray) -> bool:
+        growth = scale_of(better) / scale_of(worse)
+        if abs(np.log(growth)) > OTHER_SCALE:
+            return True
+        center = np.mean([view.matrix[:3, 3] for view in self._submap.views], axis=0)
+        resized = worse @ scaling(growth, center)
+        if self._apart(better, resized) <= DIFFERENT:
+            return False
+        return self._apart(better, self.refined(resized, FEW, coarse=True)) > DIFFERENT
+
+    def _apart(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Return the mean displacement between two poses (4, 4) of the submap, its voxels."""
         probe = self._own[0][:60]
-        limit = 6 * self._submap.voxel * scale_of(first)
-        return float(np.linalg.norm(moved(first, probe) - moved(second, probe), axis=1).mean()) <= limit
+        shift = np.linalg.norm(moved(first, probe) - moved(second, probe), axis=1).mean()
+        return float(shift / (self._submap.voxel * scale_of(first)))
 
-    def level(self, scale: float) -> Level:
-        """Return the map at about a scale, map units a metre."""
+    def _near_at(self, scale: float) -> Surface:
+        """Return what finds the map's points at about a scale, map units a metre."""
         step = round(np.log(scale) / 0.05)
-        if step not in self._levels:
-            self._levels[step] = self._map.level(self._submap.voxel * np.exp(0.05 * step))
-        return self._levels[step]
+        if step not in self._near:
+            self._near[step] = self._map.near(self._submap.voxel * np.exp(0.05 * step))
+        return self._near[step]
 
-    def _distinct(self, places: list[Place]) -> list[Place]:
+    def distinct(self, places: list[Place]) -> list[Place]:
         """Sort by score; drop what moves the submap to where a better place has it."""
         kept: list[Place] = []
         for place in sorted(places, key=lambda place: -place.score):

@@ -54,8 +54,11 @@ class PreparedMap(NamedTuple):
     def level(self, voxel: float) -> Level:
         """Return the map for a sensor whose voxels have an edge of ``voxel`` map units."""
         thin = surface.build(self.points, self.normals, max(voxel, self.voxel), oriented=False)
-        near = surface.build(self.points, self.normals, 2.5 * voxel, oriented=False)
-        return Level(thin.points, thin.normals, near)
+        return Level(thin.points, thin.normals, self.near(voxel))
+
+    def near(self, voxel: float) -> Surface:
+        """Return what finds the map's points within 2.5 voxels of a sensor's."""
+        return surface.build(self.points, self.normals, 2.5 * voxel, oriented=False)
 
 
 def prepare_map(points: np.ndarray) -> PreparedMap:

@@ -192,7 +192,7 @@ class Session:
         evidence = self._evidence(frame, self._odometry.matrix)
         if evidence.share < part.min_on_map:
             self._place, self._scale = before  # a frame beside the map cannot tell where it is
-        if not self._good(evidence):
+        if not self._confirms(evidence):
             self._confirmed = 0
             text = f'{evidence.share:.0%} of the frame on the map, {evidence.agreement:.0%} of the map in view seen'
             self._doubt(text)
@@ -217,6 +217,13 @@ class Session:
     def _evidence(self, frame: Frame, matrix: np.ndarray) -> Evidence:
         """Weigh the place by a frame that was seen from ``matrix`` (4, 4) in the odometry's frame."""
         return weigh(*frame.sample(1000), self._level.near, self._level.points, self._place @ matrix, (frame.view,))
+
+    def _confirms(self, evidence: Evidence) -> bool:
+        """Return whether a frame supports the place: as those tracked did, where no pose is given out yet."""
+        closeness, agreement = self._enough()
+        if self._state == TRACKING or not np.isfinite(closeness):
+            return self._good(evidence)
+        return self._good(evidence) and evidence.on_map >= closeness and evidence.agreement >= agreement
 
     def _good(self, evidence: Evidence) -> bool:
         part = self.config.tracking
@@ -363,7 +370,7 @@ class Session:
         self._state, self._reason = LOCALIZING, f'found: {found.reason}'
         if settled:
             for stamp, frame, matrix in self._recent:
-                self._confirmed += stamp > job.stamp and self._good(self._evidence(frame, matrix))
+                self._confirmed += stamp > job.stamp and self._confirms(self._evidence(frame, matrix))
             return
         for _, frame, matrix in self._recent[::-SCALE_EVERY]:  # so that the first pose has a scale that many agree on
             self._refine(frame, matrix)
@@ -395,7 +402,8 @@ def warm_up() -> None:
     session._judge(frame)
     session._prior, session._typical = expected(np.eye(4)), np.array((1e-3, 0.0, 0.5))
     submap = localization.joined([(frame, np.eye(4))], 0.03)
-    search(Query(submap, 1.0, session._prior, np.eye(4), (0.0, 0.0)), session._map, session.config, 0)
+    for scale, prior in ((1.0, session._prior), (None, None)):
+        search(Query(submap, scale, prior, np.eye(4), (0.0, 0.0)), session._map, session.config, 0)
 
 
 def _span(items: list[tuple[float, Frame, np.ndarray]]) -> float:

@@ -250,10 +250,21 @@ def _promising(ladder: Ladder, scales: np.ndarray):
 
 def finalists(ladder: Ladder, scales: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Return the best different transforms (F, 4, 4), best first; those ``known`` (K, 4, 4) take part."""
-    estimate_scale = len(scales) > 1
+    starts = np.concatenate([known, candidates(ladder, scales)])
+    return ladder.best(starts, estimate_scale=len(scales) > 1)
+
+
+def candidates(ladder: Ladder, scales: np.ndarray) -> np.ndarray:
+    """Return the different transforms (P, 4, 4) that correlate best, as they are, best first."""
     values, robust, transforms = correlate(ladder, scales)
-    kept = ladder.distinct(transforms, _interleaved(values, robust)[:MOST_SORTED], CANDIDATES, distance=3.0)
-    return ladder.best(np.concatenate([known, transforms[kept]]), estimate_scale=estimate_scale)
+    order = _interleaved(values, robust)[:MOST_SORTED]
+    return transforms[ladder.distinct(transforms, order, CANDIDATES, distance=3.0)]
+
+
+def scales_between(low: float, high: float) -> np.ndarray:
+    """Return the scales that are tried from a lowest to a highest one."""
+    low, high = np.log((low, high))
+    return np.exp(np.arange(low, high + STEP, STEP)) if high > low else np.exp([low])
 
 
 def propose(pair: StructurePair, config: HypothesesConfig, rng: np.random.Generator) -> np.ndarray:
@@ -262,7 +273,5 @@ def propose(pair: StructurePair, config: HypothesesConfig, rng: np.random.Genera
     if len(ladder.source.points) < MIN_CELLS:
         return np.empty((0, 4, 4))
     if 'planes' not in ladder.finalists:
-        low, high = np.log(pair.wide_scales)
-        scales = np.exp(np.arange(low, high + STEP, STEP)) if high > low else np.exp([low])
-        ladder.finalists['planes'] = finalists(ladder, scales, pair.found())
+        ladder.finalists['planes'] = finalists(ladder, scales_between(*pair.wide_scales), pair.found())
     return ladder.finalists['planes']

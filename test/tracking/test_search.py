@@ -7,36 +7,11 @@ from sequences import Sequence
 
 from csgm_ros.config import profile
 from csgm_ros.tracking import frames, localization
-from csgm_ros.tracking.evidence import Evidence
-from csgm_ros.tracking.localization import Localizer
+from csgm_ros.tracking.localization import Localizer, scale_of, scaling
 from csgm_ros.tracking.maps import prepare_map
 from csgm_ros.tracking.odometry import Odometry
-from csgm_ros.tracking.search import LOOKS, MARGIN, Candidates, Query, certain, look_again, search
-from csgm_ros.types import Term, Verdict
-
-SEEN = Evidence(0.3, 0.8, 0.92, 1500)
-
-
-def verdict(margin, *terms):
-    lead = Term('lead', margin, 2.3, True, MARGIN)
-    return Verdict(margin >= 2.3, '', 0.5, 0.5, 0.01, margin, (lead, *terms))
-
-
-@pytest.mark.parametrize(
-    ('lead', 'evidence', 'judged', 'expected'),
-    [
-        (2.5, SEEN, verdict(4.0), True),
-        (1.7, SEEN, verdict(2.0), True),  # neither would do alone
-        (1.1, SEEN, verdict(4.0), False),  # the views see as much elsewhere
-        (2.5, SEEN, verdict(0.9), False),  # the clouds fit better elsewhere
-        (np.inf, SEEN, verdict(1.05), False),  # nothing to compare with is no proof
-        (1.5, SEEN, verdict(1.5), False),
-        (2.5, SEEN._replace(agreement=0.7), verdict(4.0), False),  # much was looked through
-        (2.5, SEEN, verdict(4.0, Term('mirrored', 0.99, 0.9, False, 'x')), False),
-    ],
-)
-def test_views_and_verdict_make_a_place_certain_together(lead, evidence, judged, expected):
-    assert certain(lead, evidence, judged) is expected
+from csgm_ros.tracking.part import Part
+from csgm_ros.tracking.search import LOOKS, MOST_LEAD, Candidates, Query, judged, leads, look_again, search
 
 
 def submap(sequence, first, count):
@@ -52,11 +27,25 @@ def submap(sequence, first, count):
 
 
 @pytest.fixture(scope='module')
-def fresh(shared):
-    """A second look: its map, and its true pose there."""
+def seen(shared):
+    """A submap, its map, and its true pose there."""
     kitchen = Sequence(shared / 'data' / 'sequence_kitchen')
-    seen, _ = submap(kitchen, 50, 5)
-    return Localizer(seen, prepare_map(kitchen.map), np.random.default_rng(0)), kitchen.truth[50]
+    made, _ = submap(kitchen, 50, 5)
+    return made, prepare_map(kitchen.map), kitchen.truth[50]
+
+
+@pytest.fixture
+def fresh(seen):
+    """A second look, and its true pose."""
+    made, prepared, truth = seen
+    return Localizer(made, prepared, np.random.default_rng(0)), truth
+
+
+def test_a_place_leads_over_its_rivals_alone_and_no_more_than_counts():
+    scores = np.array((0.4, 0.35, 0.2, 0.01))
+    rivals = np.array([[0, 0, 1, 1], [0, 0, 1, 1], [1, 1, 0, 1], [1, 1, 1, 0]], bool)
+    assert leads(scores, rivals) == pytest.approx((2.0, 1.75, 0.5, 0.025))
+    assert leads(scores[:2], rivals[:2, :2]).tolist() == [MOST_LEAD] * 2  # nothing to compare with
 
 
 def turned(matrix, degrees):
@@ -64,6 +53,25 @@ def turned(matrix, degrees):
     turn = np.eye(4)
     turn[:3, :3] = Rotation.from_euler('y', degrees, degrees=True).as_matrix()
     return matrix @ turn
+
+
+def test_another_place_is_a_rival_and_the_same_at_another_scale_is_none(fresh):
+    localizer, truth = fresh
+    larger = [truth @ scaling(factor, np.zeros(3)) for factor in (1.15, 1.6)]
+    places = [localizer.weighed(matrix) for matrix in (truth, *larger, turned(truth, 90))]
+    assert localizer.rivals(places)[0].tolist() == [False, False, True, True]
+
+
+@pytest.mark.parametrize(('angles', 'certain'), [((0, 90, 180), True), ((90, 180), False)])
+def test_views_and_surfaces_make_the_right_place_certain_and_no_other(seen, angles, certain):
+    submap, prepared, truth = seen
+    localizer = Localizer(submap, prepared, np.random.default_rng(0))
+    part = Part(submap.within(1.5), prepared.points, 0)
+    places = localizer.distinct([localizer.weighed(turned(truth, angle)) for angle in angles])
+    found = judged(places, part, localizer, Query(submap, None, None, np.eye(4)))
+    assert (found.matrix is not None) is certain
+    assert found.candidates is None
+    assert not certain or scale_of(found.matrix) == pytest.approx(scale_of(truth))
 
 
 @pytest.mark.parametrize(
@@ -77,7 +85,7 @@ def turned(matrix, degrees):
 def test_of_two_looks_the_second_decides_but_not_alone(fresh, odds, expected):
     localizer, truth = fresh
     matrices = np.stack([truth, turned(truth, 90), turned(truth, 180)])
-    found = look_again(Candidates(matrices, np.array(odds), 1), localizer, fixed_scale=False)
+    found = look_again(Candidates(matrices, np.array(odds), 1), localizer)
     assert (found.matrix is not None) is expected
     assert not expected or localizer.alike(found.matrix, truth)
 
@@ -86,7 +94,7 @@ def test_places_that_are_all_wrong_are_dropped_after_some_looks(fresh):
     localizer, truth = fresh
     candidates = Candidates(np.stack([turned(truth, angle) for angle in (90, 180, 270)]), np.array((2.6, 0.9, 0.8)), 1)
     for _ in range(LOOKS):
-        found = look_again(candidates, localizer, fixed_scale=False)
+        found = look_again(candidates, localizer)
         assert found.matrix is None
         if found.candidates is None:
             return
@@ -94,13 +102,12 @@ def test_places_that_are_all_wrong_are_dropped_after_some_looks(fresh):
     raise AssertionError(candidates)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('place', ['kitchen', 'desk'])
 def test_a_kitchen_is_found_in_its_own_map_and_in_no_other(shared, place):
     kitchen = Sequence(shared / 'data' / 'sequence_kitchen')
     map_ = Sequence(shared / 'data' / f'sequence_{place}').map
-    seen, sensor = submap(kitchen, 40, 10)
-    found = search(Query(seen, None, None, sensor), prepare_map(map_), profile(), 0)
+    made, sensor = submap(kitchen, 40, 10)
+    found = search(Query(made, None, None, sensor, reach=1.5), prepare_map(map_), profile(), 0)
     if place == 'desk':
         assert found.matrix is None
     else:

@@ -11,6 +11,7 @@ from csgm_ros.config import profile, replaced
 from csgm_ros.errors import InputError
 from csgm_ros.tracking import frames, maps, scale, surface, views
 from csgm_ros.tracking.alignment import align
+from csgm_ros.tracking.evidence import Evidence
 from csgm_ros.tracking.localization import moved, scale_of, scaling
 from csgm_ros.tracking.odometry import Odometry, power
 from csgm_ros.tracking.search import Found
@@ -157,6 +158,19 @@ def test_a_look_beside_the_map_does_not_move_the_place(desk):
             assert angle < 10
             assert shift < 0.2
     assert given is not None
+
+
+def test_a_pose_is_given_out_only_where_frames_fit_as_well_as_what_was_found(desk):
+    """The odometry may have slipped while it was searched: what it leads to is beside the truth."""
+    config = replaced(profile(), {'tracking.first_seconds': 0.3})
+    session, slipped = Session(desk.map, config, executor=Never()), motion((0.0, 30.0, 0.0), (0.1, 0.0, 0.0))
+    for k in range(115, 122):
+        estimate = session.add(desk.points(k), desk.stamps[k])
+        if k == 118:
+            sensor = session._odometry.matrix
+            place = desk.truth[k] @ slipped @ np.linalg.inv(sensor)
+            session._job.future.set_result(Found(place, 'told', Evidence(0.2, 0.7, 0.92, 3000)))
+        assert estimate.T_map_sensor is None or desk.errors(k, estimate.T_map_sensor)[0] < 10
 
 
 @pytest.mark.parametrize('factor', [0.94, 1.06])
