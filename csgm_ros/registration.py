@@ -49,6 +49,7 @@ from csgm_ros.verification.view import View, Viewpoints
 NAMES = ('source', 'target')
 GUIDED_WIDTH = 0.25  # seed spacings; with it, matched nodes are at most half of one apart
 LIKELY = 16  # transforms that are compared at two lengths: at one alone, chance decides between parts of a map
+AS_LIKELY = 0.4  # of the best one's evidence at the first length, below which the second does not help
 MOST_SHOWN = 4  # hypotheses that people are shown: the answer and the best of what competed with it
 LEAST_EFFORT = {
     'supervoxels.voxel_size': 0.1,
@@ -367,7 +368,7 @@ def _best(structures: StructurePair, view: View, config: Config, clock: Clock) -
         return last if last.score > best.score and _allowed(last.transform, structures) else best
     score = cache(lambda evidence: view.score(evidence.transform))
     ranks = ladder.scores([evidence.transform.matrix for evidence in allowed])
-    likely = np.argsort(-ranks, kind='stable')[:LIKELY]  # at twice the length and at that of the verdict
+    likely = np.argsort(-ranks, kind='stable')[: min(LIKELY, (ranks >= AS_LIKELY * ranks.max()).sum())]
     place = allowed[max(likely, key=lambda number: ranks[number] * score(allowed[number]))].transform.matrix
 
     def fits(one: Evidence) -> bool:

@@ -78,9 +78,13 @@ def _fill(points, blocks, nearest, origin, cell, reach):
             dx = origin[0] + (i + 0.5) * cell - points[p, 0]
             for j in range(low[1], min(home[1] + steps + 1, BLOCK * blocks.shape[1])):
                 dy = origin[1] + (j + 0.5) * cell - points[p, 1]
+                left = reach * reach - dx * dx - dy * dy
+                if left <= 0.0:
+                    continue
+                half = int(np.sqrt(left) / cell + 0.5)
                 row = blocks[i >> BITS, j >> BITS]
                 place = _inside(i, j, 0)
-                for k in range(low[2], min(home[2] + steps + 1, BLOCK * blocks.shape[2])):
+                for k in range(max(low[2], home[2] - half), min(home[2] + half + 1, BLOCK * blocks.shape[2])):
                     dz = origin[2] + (k + 0.5) * cell - points[p, 2]
                     distance = np.float32(dx * dx + dy * dy + dz * dz)
                     block, inside = row[k >> BITS], place + (k & BLOCK - 1)
