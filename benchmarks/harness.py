@@ -21,6 +21,7 @@ RESULTS = FOLDER / 'results'
 OURS: dict[str, dict[str, object]] = {
     'csgm': {},
     'csgm-graph': {'hypotheses.sources': ('graph',)},
+    'csgm-matches': {'hypotheses.sources': ('graph',), 'hypotheses.correspondences': 0},
     'csgm-local': {'hypotheses.sources': ('local',)},
     'csgm-scale': {},
 }

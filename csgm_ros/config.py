@@ -190,7 +190,13 @@ class HypothesesConfig(Checked):
         'prior: near what is expected, always asked where there is a prior',
         choices=tuple(HYPOTHESIS_SOURCES),
     )
-    correspondences: int = param(4, 'putative correspondences of each node or keypoint', low=1, high=50)
+    correspondences: int = param(
+        4,
+        'putative correspondences of each keypoint, and of each node beside its match; 0: matched nodes alone (the '
+        'paper), and no keypoints',
+        low=0,
+        high=50,
+    )
     feature_radius: float = param(0.25, 'radius of a local feature', unit=RADIUS, low=0.02, high=1.0)
     scale_factor: float = param(
         2.0, 'scales searched are those of Eq. (1), whose error reaches 42 %, times or by this', low=1.0, high=20.0

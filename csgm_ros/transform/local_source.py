@@ -17,6 +17,8 @@ def propose(pair: StructurePair, config: HypothesesConfig, rng: np.random.Genera
 
 def putative(pair: StructurePair, count: int) -> Correspondences:
     """Return the keypoints of which one is among the ``count`` most alike of the other."""
+    if not count:
+        return Correspondences(*np.empty((4, 0, 3)))
     source, target = pair.keypoints()
     i, a = nearest_both_ways(source.features, target.features, count, pair.look).T
     return Correspondences(source.points[i], target.points[a], source.normals[i], target.normals[a])

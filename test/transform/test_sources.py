@@ -65,3 +65,13 @@ def test_matched_nodes_are_putative_correspondences(pair):
     found = graph_source.putative(with_match, 1)
     both = np.column_stack([found.source, found.target])
     assert (both == np.concatenate([pair.source.nodes[0], pair.target.nodes[-1]])).all(1).any()
+
+
+def test_without_putative_correspondences_only_the_matched_nodes_are_left(pair):
+    match = np.array([[0, len(pair.target.nodes) - 1]])
+    found = graph_source.putative(replace(pair, matches=match), 0)
+    assert np.array_equal(found.source, pair.source.nodes[:1])
+    assert np.array_equal(found.target, pair.target.nodes[-1:])
+    assert len(local_source.putative(pair, 0).source) == 0
+    none = replace(CONFIG.hypotheses, correspondences=0)
+    assert propose('local', pair, none, np.random.default_rng(0)).shape == (0, 4, 4)
