@@ -51,7 +51,7 @@ HALVES = 'for fitting', 'for testing'
 SEARCHED, EARLIER = 'searched.jsonl', 'version-0.1.0.jsonl'
 FOUND = 'searched'
 CURVES = {
-    'min_margin': (LOOSEST['min_margin'], 2.0, 2.2, 2.4, 2.6, 3.0, 4.0),
+    'min_margin': (LOOSEST['min_margin'], 1.9, 2.2, 2.4, 2.6, 3.0, 4.0),
     'min_significance': (3.0, 3.5, 4.0, 5.0),
     'min_planes': (0.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0),
     'max_scale_ratio': (0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 10.0),

@@ -41,7 +41,7 @@ ASKED = 2000  # points, in random order, of which the displacement is measured
 ELSEWHERE = 2.0  # tolerances within which what was planted has come back to the truth
 EVERYTHING = {'verification.different': 0.02}  # that the search has found is kept
 LOOSEST = {
-    'min_margin': 1.8,
+    'min_margin': 1.6,
     'min_planes': 0.0,
     'max_seen_through': 1.0,
 }  # of the curves, one at a time

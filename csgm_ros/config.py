@@ -268,14 +268,15 @@ class VerificationConfig(Checked):
         4.0, 'independent surfaces that agree, below which a result is rejected', low=0.0, high=1000.0
     )
     min_margin: float = param(
-        2.4,
+        1.9,
         'score over that of the best different transform, found or probed, below which a result is rejected',
         low=1.0,
         high=100.0,
     )
     min_significance: float = param(
         3.0,
-        'logarithm of that, times the root of the number of surfaces that agree, below which it is rejected too',
+        'logarithm of that over its own uncertainty, below which it is rejected too: the fewer surfaces agree, and the '
+        'less exactly, the more is asked for',
         low=0.0,
         high=100.0,
     )

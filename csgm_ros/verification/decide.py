@@ -22,6 +22,8 @@ SAME_AXIS = 0.95  # cosine from which two directions are one
 OTHER_SCALE = 0.1  # |log factor| from which another scale is another answer
 MIN_INLIERS = 20
 LOGISTIC = (-2.9, 1.4)  # bias, and slope over the margin in its own uncertainty; other terms added nothing
+STEEP = 12.0  # logarithm of a score, per radius: a cell off, of some twenty, a fit is worth half
+INEXACT = 2.4  # the margin with which a place is believed whose pose is not exact
 LACKING, CONTRADICTED, AMBIGUOUS = 0.02, 0.1, 0.5  # most confidence in what is rejected, by why
 NOTHING = 0.05  # the least score, relative to the winner's, that something different has
 NEARBY = 6.0  # cells of displacement up to which a transform is the same but for bent clouds and noise ...
@@ -50,11 +52,14 @@ def margin(findings: Findings) -> float:
 
 
 def needed_margin(findings: Findings, limits: VerificationConfig) -> float:
-    """Return the margin that is asked for: the wider, the fewer independent surfaces agree.
+    """Return the margin that is asked for: the wider, the fewer independent surfaces agree, and the less exactly.
 
-    The logarithm of a score that n of them make up is uncertain by about the square root of 1/n.
+    The logarithm of a score that n of them make up is uncertain by about the square root of 1/n, and by what the pose
+    is uncertain by; for that, no more than ``INEXACT`` is asked.
     """
-    return max(limits.min_margin, float(np.exp(limits.min_significance * _deviation(findings))))
+    deviation, inexact = _deviation(findings), STEEP * min(findings.imprecision, 1.0)
+    few, both = np.exp(limits.min_significance * np.array([deviation, np.hypot(deviation, inexact)]))
+    return float(max(limits.min_margin, few, min(INEXACT, both)))
 
 
 def most_mirrored(findings: Findings, limits: VerificationConfig) -> float:
