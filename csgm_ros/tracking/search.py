@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -126,10 +127,21 @@ def search(
         return Found(None, 'not near where it was expected')
     look()
     part = Part(query.submap.within(query.reach), prepared.points, seed, look)
-    hypotheses = part.anywhere(config, query.scale)
+    places = localizer.distinct(places + _anywhere(part, localizer, config, query.scale, look))
+    if not known and places and fits(places[0].evidence):
+        # among all scales a twin of a place is easily missed, among those of the place's own it is not
+        scale = scale_of(places[0].matrix)
+        places = localizer.distinct(places + _anywhere(part, localizer, config, scale, look))
+    return judged(places, part, localizer, query)
+
+
+def _anywhere(
+    part: Part, localizer: Localizer, config: Config, scale: float | None, look: Callable[[], None]
+) -> list[Place]:
+    """Return the best different places in the whole map, at one scale where it is given."""
+    hypotheses = part.anywhere(config, scale)
     look()
-    places += localizer.best(localizer.promising(hypotheses, MOST), KEPT, fixed_scale=known)
-    return judged(localizer.distinct(places), part, localizer, query)
+    return localizer.best(localizer.promising(hypotheses, MOST), KEPT, fixed_scale=scale is not None)
 
 
 def judged(places: list[Place], part: Part, localizer: Localizer, query: Query) -> Found:
