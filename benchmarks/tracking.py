@@ -15,6 +15,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from csgm_ros import Session
+from csgm_ros.cloud.cells import cells, working_size
 from csgm_ros.io.files import read_cloud
 from csgm_ros.tracking.localization import moved, scale_of
 from csgm_ros.tracking.maps import prepare_map
@@ -228,13 +229,26 @@ def starts(
 
 
 def strangers(sequence: Sequence, count: int, seed: int) -> list[dict[str, object]]:
-    """Look for a sensor in maps of places where it is not."""
+    """Look for a sensor in maps of places where it is not, and in one that holds its place twice."""
     data, found = Path(os.environ['CSGM_SHARED']) / 'data', []
     for path in STRANGERS:
         if path.parts[0] != f'sequence_{sequence.name}':
             rng = np.random.default_rng(seed)
             found.append({'map': str(path)} | starts(sequence, count, rng, map_points=read_cloud(data / path).points))
+    points = twice(sequence.map)
+    found.append({'map': 'its own, twice'} | starts(sequence, count, np.random.default_rng(seed), map_points=points))
     return found
+
+
+def twice(points: np.ndarray) -> np.ndarray:
+    """Return a map (M, 3) that holds a place twice, side by side along a floor and a wall, half of its points each."""
+    made = cells(points, working_size(points, 4000), 40000, np.random.default_rng(0))
+    first, *others = (plane.normal for plane in made.planes)
+    upright = (normal for normal in others if abs(first @ normal) < 0.5)
+    aside = np.cross(first, next(upright, np.eye(3)[np.abs(first).argmin()]))
+    aside *= 1.5 * np.ptp(points @ aside) / (aside @ aside)
+    order = np.random.default_rng(0).permutation(len(points))
+    return np.concatenate([points[order[::2]], points[order[1::2]] + aside])
 
 
 def _clear(sequence: Sequence, first: int) -> float:

@@ -112,3 +112,16 @@ def test_a_kitchen_is_found_in_its_own_map_and_in_no_other(shared, place):
         assert found.matrix is None
     else:
         assert kitchen.right(49, found.matrix @ sensor)
+
+
+@pytest.mark.parametrize(('first', 'turn'), [(36, 0), (44, 180), (58, 90)])
+def test_of_two_kitchens_alike_on_one_floor_neither_is_believed(shared, first, turn):
+    kitchen = Sequence(shared / 'data' / 'sequence_kitchen')
+    made, sensor = submap(kitchen, first, 10)
+    order = np.random.default_rng(0).permutation(len(kitchen.map))
+    one, other = (kitchen.map[half] for half in np.array_split(order, 2))
+    up, aside = np.array(((-0.691, 0.702, 0.175), (0.713, 0.673, 0.116)))  # of the map
+    rotation, middle = Rotation.from_rotvec(turn * up, degrees=True).as_matrix(), np.median(kitchen.map, axis=0)
+    length = 1.5 * np.ptp(kitchen.map @ aside)
+    both = np.concatenate([one, (other - middle) @ rotation.T + middle + length * aside])
+    assert search(Query(made, None, None, sensor, reach=1.5), prepare_map(both), profile(), 0).matrix is None
