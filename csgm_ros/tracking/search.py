@@ -130,8 +130,10 @@ def search(
     places = localizer.distinct(places + _anywhere(part, localizer, config, query.scale, look))
     if not known and places and fits(places[0].evidence):
         # among all scales a twin of a place is easily missed, among those of the place's own it is not
-        scale = scale_of(places[0].matrix)
-        places = localizer.distinct(places + _anywhere(part, localizer, config, scale, look))
+        twins = _anywhere(part, localizer, config, scale_of(places[0].matrix), look)
+        here = [place.matrix for place in places]  # with scales that were refined, as those of twins are not
+        twins = [twin for twin in twins if not any(localizer.alike(twin.matrix, matrix) for matrix in here)]
+        places = localizer.distinct(places + twins)
     return judged(places, part, localizer, query)
 
 
