@@ -44,6 +44,10 @@ class Evidence(NamedTuple):
         """Both in one number, for ranking."""
         return self.on_map * self.agreement
 
+    def reaches(self, least: tuple[float, float]) -> bool:
+        """Return whether closeness on the map and agreement are at least so large."""
+        return self.on_map >= least[0] and self.agreement >= least[1]
+
 
 def weigh(
     points: np.ndarray,

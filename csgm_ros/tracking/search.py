@@ -117,7 +117,7 @@ def search(
         hypotheses = around(query.prior, query, rng)
         for some in (hypotheses[:LIKELY], hypotheses[LIKELY:]):
             places = localizer.best(localizer.promising(some, 6), 3, fixed_scale=known)
-            if places and _views_say(places, localizer)[0] >= STANDING_OUT and _enough(places[0].evidence, query):
+            if places and _views_say(places, localizer)[0] >= STANDING_OUT and places[0].evidence.reaches(query.enough):
                 return Found(places[0].matrix, 'near where it was expected', places[0].evidence)
     if query.candidates is not None and query.fresh is not None:
         found = look_again(query.candidates, Localizer(query.fresh, prepared, rng))
@@ -152,7 +152,7 @@ def judged(places: list[Place], part: Part, localizer: Localizer, query: Query) 
         return Found(None, 'no plane of what was seen is like one of the map')
     best, rivals = places[0], localizer.rivals(places)
     lead = leads(np.array([place.score for place in places]), rivals)
-    if lead[0] >= STANDING_OUT and _enough(best.evidence, query):
+    if lead[0] >= STANDING_OUT and best.evidence.reaches(query.enough):
         return Found(best.matrix, 'as close as where it was tracked', best.evidence)
     matrices = np.stack([place.matrix for place in places])
     margin = leads(part.agreement(matrices), rivals)
@@ -216,7 +216,3 @@ def around(prior: Prior, query: Query, rng: np.random.Generator) -> np.ndarray:
 def expected(matrix: np.ndarray) -> Prior:
     """Return the prior of a sensor that was last seen at a pose (4, 4) in the map."""
     return Prior(Similarity.from_matrix(matrix), (SIGMA[0] * scale_of(matrix), *SIGMA[1:]))
-
-
-def _enough(evidence: Evidence, query: Query) -> bool:
-    return evidence.on_map >= query.enough[0] and evidence.agreement >= query.enough[1]

@@ -220,10 +220,9 @@ class Session:
 
     def _confirms(self, evidence: Evidence) -> bool:
         """Return whether a frame supports the place: as those tracked did, where no pose is given out yet."""
-        closeness, agreement = self._enough()
-        if self._state == TRACKING or not np.isfinite(closeness):
-            return self._good(evidence)
-        return self._good(evidence) and evidence.on_map >= closeness and evidence.agreement >= agreement
+        least = self._enough()
+        asked_less = self._state == TRACKING or not np.isfinite(least[0])
+        return self._good(evidence) and (asked_less or evidence.reaches(least))
 
     def _good(self, evidence: Evidence) -> bool:
         part = self.config.tracking
