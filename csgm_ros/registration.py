@@ -24,8 +24,9 @@ from csgm_ros.progress import Clock, Progress, TimeUp
 from csgm_ros.scale import normalize, search_range
 from csgm_ros.structure.extract import cut, describe
 from csgm_ros.structure.keypoints import describe_keypoints
+from csgm_ros.transform.flight import collapsed, comparable
 from csgm_ros.transform.hypothesis_search import search, search_grids
-from csgm_ros.transform.ladder import APART, Ladder, collapsed, comparable
+from csgm_ros.transform.ladder import APART, Ladder
 from csgm_ros.transform.ransac import ransac
 from csgm_ros.transform.refinement import refine_best, refine_between, refine_finalists
 from csgm_ros.transform.sources import StructurePair, propose

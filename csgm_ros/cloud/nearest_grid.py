@@ -67,30 +67,33 @@ def _inside(i, j, k):
 
 @kernel
 def _fill(points, blocks, nearest, origin, cell, reach):
-    steps = int(np.ceil(reach / cell))
-    best = np.full(nearest.shape, np.float32(reach * reach), np.float32)
-    home = np.empty(3, np.int64)
+    steps, limit = int(np.ceil(reach / cell)), reach * reach
+    best = np.full(nearest.shape, np.float32(limit), np.float32)
+    home, above = np.empty(3, np.int64), np.empty(BLOCK * blocks.shape[2])
     for p in range(len(points)):
         for axis in range(3):
             home[axis] = int((points[p, axis] - origin[axis]) / cell)
         low = np.maximum(home - steps, 0)
+        first = low[2] >> BITS
+        last = (min(home[2] + steps, BLOCK * blocks.shape[2] - 1) >> BITS) + 1
+        for k in range(first << BITS, last << BITS):
+            dz = origin[2] + (k + 0.5) * cell - points[p, 2]
+            above[k] = dz * dz
         for i in range(low[0], min(home[0] + steps + 1, BLOCK * blocks.shape[0])):
             dx = origin[0] + (i + 0.5) * cell - points[p, 0]
             for j in range(low[1], min(home[1] + steps + 1, BLOCK * blocks.shape[1])):
                 dy = origin[1] + (j + 0.5) * cell - points[p, 1]
-                left = reach * reach - dx * dx - dy * dy
-                if left <= 0.0:
+                aside = dx * dx + dy * dy
+                if aside >= limit:
                     continue
-                half = int(np.sqrt(left) / cell + 0.5)
-                row = blocks[i >> BITS, j >> BITS]
-                place = _inside(i, j, 0)
-                for k in range(max(low[2], home[2] - half), min(home[2] + half + 1, BLOCK * blocks.shape[2])):
-                    dz = origin[2] + (k + 0.5) * cell - points[p, 2]
-                    distance = np.float32(dx * dx + dy * dy + dz * dz)
-                    block, inside = row[k >> BITS], place + (k & BLOCK - 1)
-                    if distance < best[block, inside]:
-                        best[block, inside] = distance
-                        nearest[block, inside] = p
+                row, place = blocks[i >> BITS, j >> BITS], _inside(i, j, 0)
+                for b in range(first, last):
+                    block = row[b]
+                    for k in range(BLOCK):  # all of a row without a branch: vector code
+                        distance, before = np.float32(aside + above[BLOCK * b + k]), best[block, place + k]
+                        closer = distance < before
+                        best[block, place + k] = distance if closer else before
+                        nearest[block, place + k] = p if closer else nearest[block, place + k]
 
 
 @kernel(inline=True)

@@ -36,7 +36,7 @@ class Part:
         map_points = without_extremes(map_points)
         self._radii = robust_radius(points), robust_radius(map_points)
         self._unit = self._radii[1] / self._radii[0]  # whatever the map's is, the ladder has the sensor's
-        self._ladder = Ladder(points, map_points / self._unit, seed, look)
+        self._ladder = Ladder(points, map_points / self._unit, seed, look, part=True)
 
     def anywhere(self, config: Config, scale: float | None = None) -> np.ndarray:
         """Return different transforms (P, 4, 4) to the map, likely ones first.
@@ -44,8 +44,6 @@ class Part:
         ``scale`` is map units a metre; otherwise all that the configuration allows and the extents make plausible
         are tried.
         """
-        if len(self._ladder.source.points) < planes.MIN_CELLS:
-            return np.empty((0, 4, 4))
         low, high = (scale, scale) if scale else self._plausible(config)
         scales = planes.scales_between(low / self._unit, high / self._unit)
         return np.diag((self._unit,) * 3 + (1.0,)) @ planes.candidates(self._ladder, scales)

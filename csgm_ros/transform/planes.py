@@ -12,14 +12,15 @@ from csgm_ros.cloud.planes import Plane, frame
 from csgm_ros.cloud.voxels import voxel_means
 from csgm_ros.config import HypothesesConfig
 from csgm_ros.transform import occupancy
-from csgm_ros.transform.ladder import Ladder
+from csgm_ros.transform.flight import Flight
+from csgm_ros.transform.ladder import Ladder, turned
 from csgm_ros.transform.sources import StructurePair
 
 PLANES = 3  # of a cloud
 PEAKS = 2  # of a correlation
 STEP = 0.1  # between the logarithms of two scales
 PROMISING = 240  # places of the coarse look around which is looked finely
-MIN_CELLS = 500  # of the source; fewer have no layers
+MIN_CELLS = 500  # of the part; fewer have no layers
 MOST_SORTED = 3000
 CANDIDATES = 160  # different places that get a short ICP
 PASS = 2 / 3  # of the frequencies are kept: the softened occupancy has no more
@@ -85,44 +86,68 @@ def view(cells: Cells, plane: Plane, size: float) -> View:
     return View(points, axes, plane.point + middle @ axes, float(reach))
 
 
+class Look(NamedTuple):
+    """One of two clouds as a part of the other one.
+
+    Attributes
+    ----------
+    flight : Flight
+    back : bool
+        It goes from the target to the source.
+    scales : (S,) ndarray
+        That are looked at, from the part to the whole.
+    """
+
+    flight: Flight
+    back: bool
+    scales: np.ndarray
+
+
+def looks_at(ladder: Ladder, scales: np.ndarray) -> list[Look]:
+    """Return from which sides two clouds are looked at, for scales from the source to the target."""
+    back = scales > ladder.turning
+    looks = Look(ladder.flights[0], False, scales[~back]), Look(ladder.flights[1], True, 1.0 / scales[back])
+    return [look for look in looks if len(look.scales) and len(look.flight.part.points) >= MIN_CELLS]
+
+
 class Correlator:
-    """Correlates the clouds of a ladder at one level; what scales share is done once."""
+    """Correlates the clouds of a flight at one level; what scales share is done once."""
 
-    def __init__(self, ladder: Ladder, level: Level):
-        self.ladder, self.level = ladder, level
-        self.size = level.cell * ladder.source.size
+    def __init__(self, flight: Flight, level: Level):
+        self.flight, self.level = flight, level
+        self.size = level.cell * flight.part.size
         self.turns = np.arange(level.yaws) * 2 * np.pi / level.yaws
-        self.sources = [view(ladder.source, plane, self.size) for plane in ladder.source.planes[:PLANES]]
+        self.parts = [view(flight.part, plane, self.size) for plane in flight.part.planes[:PLANES]]
         self._views: dict = {}
-        self._source_spectra: dict = {}
-        self._target_spectra: dict = {}
+        self._part_spectra: dict = {}
+        self._whole_spectra: dict = {}
 
-    def targets(self, scale: float) -> list[View]:
-        """Return the target from above each of its planes at a scale."""
-        rung = self.ladder.rung(scale)
+    def wholes(self, scale: float) -> list[View]:
+        """Return the whole from above each of its planes at a scale."""
+        rung = self.flight.rung(scale)
         if id(rung) not in self._views:
             size = 0.75 * self.level.cell * rung.size  # not coarser than the cells of the smallest scale on the rung
             self._views[id(rung)] = [view(rung, plane, size) for plane in rung.planes[:PLANES]]
         return self._views[id(rung)]
 
     def peaks(self, a: int, b: int, scale: float, yaws: np.ndarray):
-        """Return values (Y, PEAKS) and shifts (Y, PEAKS, 2) in cells of a source's plane on one of the target's."""
+        """Return values (Y, PEAKS) and shifts (Y, PEAKS, 2) in cells of a part's plane on one of the whole's."""
         import scipy.fft
 
-        source, target = self.sources[a], self.targets(scale)[b]
-        wanted = (1.7 * target.reach / scale + 1.4 * source.reach) / self.size
+        part, whole = self.parts[a], self.wholes(scale)[b]
+        wanted = (1.7 * whole.reach / scale + 1.4 * part.reach) / self.size
         side = next((s for s in self.level.sides if s >= wanted), self.level.sides[-1])
         kept = 2 * round(side * PASS / 2)
-        missing = [y for y in yaws if (a, side, y) not in self._source_spectra]
+        missing = [y for y in yaws if (a, side, y) not in self._part_spectra]
         for y in missing:
-            self._source_spectra[a, side, y] = np.conj(self._spectrum(source, self.size, self.turns[y], side, kept))
-        if (scale, b, side) not in self._target_spectra:
-            spectrum = self._spectrum(target, self.size * scale, 0.0, side, kept)
+            self._part_spectra[a, side, y] = np.conj(self._spectrum(part, self.size, self.turns[y], side, kept))
+        if (scale, b, side) not in self._whole_spectra:
+            spectrum = self._spectrum(whole, self.size * scale, 0.0, side, kept)
             half = len(spectrum) // 2
-            self._target_spectra[scale, b, side] = np.concatenate([spectrum[half:], spectrum[:half]])
+            self._whole_spectra[scale, b, side] = np.concatenate([spectrum[half:], spectrum[:half]])
         products = np.empty((len(yaws), kept, kept // 2 + 1), np.complex64)
         for y, product in zip(yaws, products, strict=True):
-            _multiply(self._source_spectra[a, side, y], self._target_spectra[scale, b, side], product)
+            _multiply(self._part_spectra[a, side, y], self._whole_spectra[scale, b, side], product)
         maps = scipy.fft.irfft2(products, s=(kept, kept), norm='forward', overwrite_x=True)
         values, places = _peaks(maps, PEAKS)
         return values / side**2, places * (side / kept)
@@ -139,13 +164,13 @@ class Correlator:
 
     def transforms(self, a: int, b: int, scale: float, yaws: np.ndarray, shifts: np.ndarray) -> np.ndarray:
         """Return the matrices (Y, PEAKS, 4, 4) of shifts (Y, PEAKS, 2)."""
-        source, target = self.sources[a], self.targets(scale)[b]
+        part, whole = self.parts[a], self.wholes(scale)[b]
         out = np.zeros((*shifts.shape[:2], 4, 4))
         for n, y in enumerate(yaws):
-            rotation = target.axes.T @ source.into(1.0, self.turns[y])[:, :3]
+            rotation = whole.axes.T @ part.into(1.0, self.turns[y])[:, :3]
             out[n, :, :3, :3] = scale * rotation
-            out[n, :, :3, 3] = target.middle + scale * self.size * shifts[n] @ target.axes[:2]
-            out[n, :, :3, 3] -= scale * rotation @ source.middle
+            out[n, :, :3, 3] = whole.middle + scale * self.size * shifts[n] @ whole.axes[:2]
+            out[n, :, :3, 3] -= scale * rotation @ part.middle
             out[n, :, 3, 3] = 1.0
         return out
 
@@ -201,50 +226,58 @@ def correlate(ladder: Ladder, scales: np.ndarray):
 
     With many scales, every second one is looked at coarsely with every second yaw, and finely only around the best.
     """
-    fine = Correlator(ladder, FINE)
-    if len(scales) == 1:
-        pairs = [(a, b) for b in range(len(fine.targets(scales[0]))) for a in range(len(fine.sources))]
-        work = {(a, b, 0): np.arange(FINE.yaws) for a, b in pairs}
-        norms = None
-    else:
-        work, norms = _promising(ladder, scales)
+    looks = looks_at(ladder, scales)
+    fine = [Correlator(look.flight, FINE) for look in looks]
+    work, norms = _promising(ladder, looks) if len(scales) > 1 else (_everything(looks, fine), None)
     found = []
-    for (a, b, n), yaws in work.items():
-        if b >= len(fine.targets(scales[n])):
+    for (f, a, b, n), yaws in work.items():
+        scale = looks[f].scales[n]
+        if b >= len(fine[f].wholes(scale)):
             continue
         ladder.look()
-        values, shifts = fine.peaks(a, b, scales[n], yaws)
-        matrices = fine.transforms(a, b, scales[n], yaws, shifts).reshape(-1, 4, 4)
-        median, spread = norms[a, b, n // 2] if norms else _median(values)
+        values, shifts = fine[f].peaks(a, b, scale, yaws)
+        matrices = turned(fine[f].transforms(a, b, scale, yaws, shifts).reshape(-1, 4, 4), looks[f].back)
+        median, spread = norms[f, a, b, n // 2] if norms else _median(values)
         found.append((values.ravel(), (values.ravel() - median) / spread, matrices))
     if not found:
         return np.empty(0), np.empty(0), np.empty((0, 4, 4))
     return tuple(map(np.concatenate, zip(*found, strict=True)))
 
 
-def _promising(ladder: Ladder, scales: np.ndarray):
-    """Return the yaws worth a fine look by (plane, plane, scale), and the median and spread of the values there."""
-    coarse = Correlator(ladder, COARSE)
+def _everything(looks: list[Look], fine: list[Correlator]):
+    """Return all yaws by (look, plane, plane, scale), for one scale."""
+    return {
+        (f, a, b, 0): np.arange(FINE.yaws)
+        for f, (look, one) in enumerate(zip(looks, fine, strict=True))
+        for b in range(len(one.wholes(look.scales[0])))
+        for a in range(len(one.parts))
+    }
+
+
+def _promising(ladder: Ladder, looks: list[Look]):
+    """Return the yaws worth a fine look by (look, plane, plane, scale), and median and spread of the values there."""
     ratio = (COARSE.cell / FINE.cell) ** 2  # of the numbers of cells that surfaces have
     every = np.arange(COARSE.yaws)
     rows, norms = [], {}
-    for n in range((len(scales) + 1) // 2):
-        scale = np.sqrt(scales[2 * n] * scales[min(2 * n + 1, len(scales) - 1)])
-        for b in range(len(coarse.targets(scale))):
-            for a in range(len(coarse.sources)):
-                ladder.look()
-                values = coarse.peaks(a, b, scale, every)[0].max(1)
-                median, spread = _median(values)
-                chance = np.sqrt(min(len(coarse.sources[a].points), len(coarse.targets(scale)[b].points)))
-                norms[a, b, n] = median, spread = median, np.hypot(spread, chance)  # by chance some yaws are alike
-                rows += [(a, b, n, y, v, (v - median) / spread) for y, v in zip(every, values, strict=True)]
+    for f, (flight, _, scales) in enumerate(looks):
+        coarse = Correlator(flight, COARSE)
+        for n in range((len(scales) + 1) // 2):
+            scale = np.sqrt(scales[2 * n] * scales[min(2 * n + 1, len(scales) - 1)])
+            for b in range(len(coarse.wholes(scale))):
+                for a in range(len(coarse.parts)):
+                    ladder.look()
+                    values = coarse.peaks(a, b, scale, every)[0].max(1)
+                    median, spread = _median(values)
+                    chance = np.sqrt(min(len(coarse.parts[a].points), len(coarse.wholes(scale)[b].points)))
+                    norms[f, a, b, n] = median, spread = median, np.hypot(spread, chance)  # by chance some are alike
+                    rows += [(f, a, b, n, y, v, (v - median) / spread) for y, v in zip(every, values, strict=True)]
     norms = {key: (ratio * median, ratio * spread) for key, (median, spread) in norms.items()}
-    table = np.array(rows).reshape(-1, 6)
-    order = _interleaved(table[:, 4], table[:, 5])[:PROMISING]
+    table = np.array(rows).reshape(-1, 7)
+    order = _interleaved(table[:, 5], table[:, 6])[:PROMISING]
     work: dict = {}
-    for a, b, n, y in table[order, :4].astype(int):
-        for m in range(2 * n, min(2 * n + 2, len(scales))):
-            work.setdefault((a, b, m), set()).update(((2 * y - 1) % FINE.yaws, 2 * y, (2 * y + 1) % FINE.yaws))
+    for f, a, b, n, y in table[order, :5].astype(int):
+        for m in range(2 * n, min(2 * n + 2, len(looks[f].scales))):
+            work.setdefault((f, a, b, m), set()).update(((2 * y - 1) % FINE.yaws, 2 * y, (2 * y + 1) % FINE.yaws))
     return {key: np.array(sorted(yaws)) for key, yaws in work.items()}, norms
 
 
@@ -270,8 +303,6 @@ def scales_between(low: float, high: float) -> np.ndarray:
 def propose(pair: StructurePair, config: HypothesesConfig, rng: np.random.Generator) -> np.ndarray:
     """Return the (F, 4, 4) finalists of the search, best first, refined: the same ones whenever asked again."""
     ladder = pair.ladder
-    if len(ladder.source.points) < MIN_CELLS:
-        return np.empty((0, 4, 4))
     if 'planes' not in ladder.finalists:
         ladder.finalists['planes'] = finalists(ladder, scales_between(*pair.wide_scales), pair.found())
     return ladder.finalists['planes']

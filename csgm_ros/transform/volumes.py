@@ -12,12 +12,12 @@ from csgm_ros.cloud.planes import Plane, frame
 from csgm_ros.cloud.witnesses import Witnesses
 from csgm_ros.config import HypothesesConfig
 from csgm_ros.progress import Look, unhurried
-from csgm_ros.transform.ladder import Ladder
+from csgm_ros.transform.ladder import Ladder, turned
 from csgm_ros.transform.sources import StructurePair
 
 CELL = 2.0  # cells of the comparison
 TURNS = 24
-MIN_CELLS = 300  # of the source
+MIN_CELLS = 300  # of the part
 MOST_SORTED, CANDIDATES, DISTINCT = 3000, 100, 3.0  # peaks that are looked at; that get a short ICP; cells between them
 HALF_TURNS = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0]])
 NONE = np.empty(0), np.empty((0, 4, 4))
@@ -236,9 +236,12 @@ def _transforms(part: Volume, whole: Volume, turned: np.ndarray, shifts: np.ndar
 def found(ladder: Ladder) -> np.ndarray:
     """Return the best different (F, 4, 4) transforms at the given scale, best first, refined."""
     if 'volumes' not in ladder.finalists:
-        comparison = ladder.comparison(0)
-        planes = ladder.source.planes, ladder.rung(1.0).planes
-        values, transforms = correlate(comparison, *planes, ladder.look) if comparison else NONE
+        flight, back = ladder.flight(1.0)
+        comparison = flight.comparison(1.0)
+        values, transforms = NONE
+        if comparison and len(flight.part.points) >= MIN_CELLS:
+            values, transforms = correlate(comparison, flight.part.planes, flight.rung(1.0).planes, ladder.look)
+        transforms = turned(transforms, back)
         kept = ladder.distinct(transforms, np.argsort(-values, kind='stable')[:MOST_SORTED], CANDIDATES, DISTINCT)
         ladder.finalists['volumes'] = ladder.best(transforms[kept], estimate_scale=False)
     return ladder.finalists['volumes']
@@ -247,6 +250,4 @@ def found(ladder: Ladder) -> np.ndarray:
 def propose(pair: StructurePair, config: HypothesesConfig, rng: np.random.Generator) -> np.ndarray:
     """Return the (F, 4, 4) finalists of the search, none where the scale is unknown: the same ones whenever asked."""
     low, high = pair.wide_scales
-    if high > low or len(pair.ladder.source.points) < MIN_CELLS:
-        return np.empty((0, 4, 4))
-    return found(pair.ladder)
+    return found(pair.ladder) if low == high else np.empty((0, 4, 4))

@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from csgm_ros.cloud.cells import cells, working_size
 from csgm_ros.cloud.planes import frame
-from csgm_ros.transform.ladder import Ladder, scale_of
+from csgm_ros.transform.flight import scale_of
+from csgm_ros.transform.ladder import Ladder
 from csgm_ros.transform.planes import finalists
 from csgm_ros.types import Similarity
 
@@ -37,6 +38,11 @@ def view(points):
     return points[(points[:, 0] < 5.5) & (points[:, 1] < 4.5)]
 
 
+def corner(points):
+    """Less than a seventh."""
+    return points[(points[:, 0] < 4.5) & (points[:, 1] < 3.8)]
+
+
 @pytest.mark.parametrize('given', [True, False])
 def test_a_part_is_found_in_the_whole_whatever_its_pose_and_scale(given):
     turn = Rotation.from_euler('xyz', (40, -70, 110), degrees=True).as_matrix()
@@ -46,10 +52,21 @@ def test_a_part_is_found_in_the_whole_whatever_its_pose_and_scale(given):
     scales = np.ones(1) if given else 3.7 * np.exp(np.arange(-1.03, 1.0, 0.1))
     found = finalists(ladder, scales, NOTHING)
     best = Similarity.from_matrix(found[0])
-    assert best.displacement(truth, ladder.source.points) < 0.15
+    assert best.displacement(truth, ladder.flights[0].part.points) < 0.15
     scores = ladder.scores(found)
     assert (np.diff(scores) <= 0).all()
     assert scores[0] > 1.5 * scores[1]
+
+
+@pytest.mark.parametrize('given', [True, False])
+def test_the_whole_is_laid_on_its_part(given):
+    source, target = hall(2), corner(hall(1))
+    scale = 1.0 if given else 3.7
+    truth = Similarity(scale, Rotation.from_euler('xyz', (40, -70, 110), degrees=True).as_matrix(), np.ones(3))
+    ladder = Ladder(truth.inverse().apply(source), target, 0)
+    found = finalists(ladder, np.ones(1) if given else scale * np.exp(np.arange(-1.03, 1.0, 0.1)), NOTHING)
+    best = Similarity.from_matrix(found[0]).inverse()
+    assert best.displacement(truth.inverse(), target) * scale < 0.15
 
 
 def test_the_same_clouds_have_the_same_finalists():

@@ -26,12 +26,12 @@ def ladder():
 def test_a_part_is_found_by_what_stands_on_the_floor(ladder):
     assert volumes.found(ladder) is volumes.found(ladder)
     best = Similarity.from_matrix(volumes.found(ladder)[0])
-    assert best.displacement(TRUTH, ladder.source.points) < 0.15
+    assert best.displacement(TRUTH, ladder.flights[0].part.points) < 0.15
 
 
 def test_planes_alone_do_not_find_it(ladder):
     best = Similarity.from_matrix(finalists(ladder, np.ones(1), NOTHING)[0])
-    assert best.displacement(TRUTH, ladder.source.points) > 1.0
+    assert best.displacement(TRUTH, ladder.flights[0].part.points) > 1.0
 
 
 @pytest.mark.parametrize('turned', range(4))

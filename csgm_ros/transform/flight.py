@@ -1,0 +1,154 @@
+"""A part in cells of its structure, a whole in cells that fit those at any scale, and how far the two agree there.
+
+Where one cloud is much larger than the other, lengths relative to their radii mean nothing. Here they come from the
+structure of the smaller one: the edge of the cells that a few thousand of it occupy. The other is looked at on a flight
+of such cells, on the rung that fits the scale in question.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from csgm_ros.cloud.agreement import Comparison
+from csgm_ros.cloud.cells import Cells, cells, working_size
+from csgm_ros.cloud.witnesses import Witnesses, asked, robust_radius
+from csgm_ros.transform import batch_icp
+
+WORKING = 4000  # cells of the part
+MOST = 40000  # cells of the whole, of 2 * WORKING of the part
+RUNG = 1.6  # between the edges of the whole's cells on two rungs
+COMPARED = 2.0  # cells: at which length of structure the clouds are compared; photographs are bent at finer ones
+ASKED, MOST_ASKED = 1500, 6000  # cells
+NEIGHBORS = 12
+LEAST = 30  # cells with a normal, below which a cloud shows nothing
+COLLAPSED = 2.0  # change of the scale from which an ICP has shrunk the part onto a few points
+SCALES = 1e-4, 1e4  # between the normalised clouds, beyond which nothing is compared
+MIN_INLIERS = 20  # points that must agree, for shares to mean anything
+PROBES = 60
+ITERATIONS = 5  # of ICP, per gate
+OTHER_SAMPLES = 4  # times as many points of the whole as of the part: most of them are not on the part
+
+
+class Flight:
+    """Part and whole in cells, made when they are asked for; transforms go from the part to the whole.
+
+    Parameters
+    ----------
+    part, whole : (N, 3), (M, 3) ndarray
+        Finite points.
+    seed : int
+    """
+
+    def __init__(self, part: np.ndarray, whole: np.ndarray, seed: int):
+        self._clouds, self._seed = (part, whole), seed
+        self._rungs: dict[int, Cells] = {}
+        self._comparisons: dict[int, Comparison | None] = {}
+
+    @cached_property
+    def part(self) -> Cells:
+        """The part in its working cells."""
+        points = self._clouds[0]
+        return cells(points, working_size(points, WORKING), 2 * WORKING, np.random.default_rng(self._seed))
+
+    def rung(self, scale: float) -> Cells:
+        """Return the whole in cells about as large as the part's under a scale."""
+        number = _number(scale)
+        if number not in self._rungs:
+            size = self.part.size * RUNG**number
+            self._rungs[number] = cells(self._clouds[1], size, MOST, np.random.default_rng(self._seed))
+        return self._rungs[number]
+
+    def score(self, transform: np.ndarray) -> float:
+        """Return how far the clouds agree under a (4, 4) transform, see :class:`Comparison`."""
+        scale = scale_of(transform)
+        if not comparable(scale):
+            return 0.0
+        number = _number(scale)
+        comparison, back = self.comparison(scale), RUNG**-number
+        if comparison is None:
+            return 0.0
+        agreement = comparison.agreement(transform @ np.diag([back, back, back, 1.0]))
+        return agreement.evidence if agreement.inliers >= MIN_INLIERS else 0.0
+
+    def comparison(self, scale: float) -> Comparison | None:
+        """Return the clouds on the rung of a scale, the part enlarged to it; None where one of them shows nothing."""
+        number = _number(scale)
+        if number not in self._comparisons:
+            self._comparisons[number] = self._compared(RUNG**number)
+        return self._comparisons[number]
+
+    def _compared(self, factor: float) -> Comparison | None:
+        rung = self.rung(factor)
+        sides = [_known(factor * self.part.points, self.part.normals), _known(rung.points, rung.normals)]
+        if min(len(points) for points, _ in sides) < LEAST:
+            return None
+        cell = COMPARED * factor * self.part.size
+        reach = 2.0 * min(robust_radius(points) for points, _ in sides)
+        first, second = (self._asked(*side, cell, reach) for side in sides)
+        return Comparison(first, second, cell)
+
+    def _asked(self, points: np.ndarray, normals: np.ndarray, cell: float, reach: float) -> Witnesses:
+        count = int(np.clip(ASKED * len(points) / len(self.part.points), ASKED, MOST_ASKED))
+        return asked(points, normals, cell, reach, np.random.default_rng(self._seed), NEIGHBORS, count)
+
+    def refined(
+        self, transform: np.ndarray, gates: tuple[float, ...], samples: int, *, fine: bool, estimate_scale: bool
+    ) -> np.ndarray:
+        """Return a (4, 4) transform after a short ICP, or as it was where that has shrunk the part onto a few points.
+
+        Parameters
+        ----------
+        gates : tuple of float
+            Largest distances of correspondences, cells.
+        samples : int
+            Points of the part that seek a partner.
+        fine : bool
+            On the finer, narrower tables of nearest points.
+        """
+        scale, part = scale_of(transform), self.part.near(fine=fine)
+        whole = self.rung(scale).near(fine=fine)
+        chosen = np.random.default_rng(self._seed).permutation(len(part.points))[:samples]
+        others = np.arange(0, len(whole.points), max(1, len(whole.points) // (OTHER_SAMPLES * samples)))
+        lengths = tuple(gate * scale * self.part.size for gate in gates)
+        found = batch_icp.refine_all(
+            transform[None],
+            part,
+            whole,
+            (chosen, others),
+            lengths,
+            0.0,
+            iterations=ITERATIONS,
+            estimate_scale=estimate_scale,
+        )[0]
+        return transform if collapsed(scale_of(found), scale) else found
+
+    def images(self, transforms: np.ndarray) -> np.ndarray:
+        """Return where (H, 4, 4) transforms move some points of the part, (H, P, 3)."""
+        some = self.part.points[:: max(1, len(self.part.points) // PROBES)]
+        return some @ transforms[:, :3, :3].transpose(0, 2, 1) + transforms[:, None, :3, 3]
+
+
+def collapsed(end: float, start: float) -> bool:
+    """Return whether an ICP that took the scale from ``start`` to ``end`` has left what it started from."""
+    return not 1.0 / COLLAPSED < end / start < COLLAPSED
+
+
+def comparable(scale: float) -> bool:
+    """Return whether clouds can be compared at a scale between their normalised frames."""
+    return SCALES[0] < scale < SCALES[1]
+
+
+def _number(scale: float) -> int:
+    return round(np.log(scale) / np.log(RUNG))
+
+
+def _known(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    known = (normals != 0).any(1)
+    return points[known], normals[known]
+
+
+def scale_of(transform: np.ndarray) -> float:
+    """Return the scale of a (4, 4) similarity matrix."""
+    return float(np.cbrt(np.linalg.det(transform[:3, :3])))
