@@ -474,8 +474,9 @@ def test_extreme_units_are_no_trouble(source, target):
     assert_right(register(source * SOURCE, target * TARGET), truth, source * SOURCE)
 
 
-def test_a_scale_beyond_the_bounds_is_rejected():
-    assert not register(SOURCE, 1e-9 * TARGET, QUICK).accepted
+@pytest.mark.parametrize('factor', [1e-9, 1e9])
+def test_a_scale_beyond_the_bounds_is_rejected(factor):
+    assert not register(SOURCE, factor * TARGET, QUICK).accepted
 
 
 @pytest.mark.parametrize('outlier', [10.0, 1e3, 1e9])

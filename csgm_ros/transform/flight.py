@@ -8,6 +8,7 @@ of such cells, on the rung that fits the scale in question.
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +19,14 @@ from csgm_ros.transform import batch_icp
 
 WORKING = 4000  # cells of the part
 MOST = 40000  # cells of the whole, of 2 * WORKING of the part
+FINEST = 1e-5  # of the whole's extent: finer cells could not be numbered
 RUNG = 1.6  # between the edges of the whole's cells on two rungs
 COMPARED = 2.0  # cells: at which length of structure the clouds are compared; photographs are bent at finer ones
 ASKED, MOST_ASKED = 1500, 6000  # cells
 NEIGHBORS = 12
 LEAST = 30  # cells with a normal, below which a cloud shows nothing
 COLLAPSED = 2.0  # change of the scale from which an ICP has shrunk the part onto a few points
-SCALES = 1e-4, 1e4  # between the normalised clouds, beyond which nothing is compared
+SCALES = 1e-3, 1e3  # between the normalised clouds, beyond which nothing is compared
 MIN_INLIERS = 20  # points that must agree, for shares to mean anything
 PROBES = 60
 ITERATIONS = 5  # of ICP, per gate
@@ -56,42 +58,41 @@ class Flight:
         """Return the whole in cells about as large as the part's under a scale."""
         number = _number(scale)
         if number not in self._rungs:
-            size = self.part.size * RUNG**number
-            self._rungs[number] = cells(self._clouds[1], size, MOST, np.random.default_rng(self._seed))
+            whole = self._clouds[1]
+            size = max(self.part.size * RUNG**number, FINEST * float(np.ptp(whole, axis=0).max()))
+            self._rungs[number] = cells(whole, size, MOST, np.random.default_rng(self._seed))
         return self._rungs[number]
 
     def score(self, transform: np.ndarray) -> float:
         """Return how far the clouds agree under a (4, 4) transform, see :class:`Comparison`."""
         scale = scale_of(transform)
-        if not comparable(scale):
-            return 0.0
-        number = _number(scale)
-        comparison, back = self.comparison(scale), RUNG**-number
+        comparison = self.comparison(scale) if comparable(scale) else None
         if comparison is None:
             return 0.0
-        agreement = comparison.agreement(transform @ np.diag([back, back, back, 1.0]))
+        agreement = comparison.agreement(np.diag([*3 * [RUNG ** -_number(scale)], 1.0]) @ transform)
         return agreement.evidence if agreement.inliers >= MIN_INLIERS else 0.0
 
     def comparison(self, scale: float) -> Comparison | None:
-        """Return the clouds on the rung of a scale, the part enlarged to it; None where one of them shows nothing."""
+        """Return the clouds on the rung of a scale, the whole shrunk to the part; None where one shows nothing."""
         number = _number(scale)
         if number not in self._comparisons:
-            self._comparisons[number] = self._compared(RUNG**number)
+            rung, part = self.rung(scale), self._witnesses
+            whole = self._asked(rung.points / RUNG**number, rung.normals)
+            self._comparisons[number] = Comparison(part, whole, part.cell) if part and whole else None
         return self._comparisons[number]
 
-    def _compared(self, factor: float) -> Comparison | None:
-        rung = self.rung(factor)
-        sides = [_known(factor * self.part.points, self.part.normals), _known(rung.points, rung.normals)]
-        if min(len(points) for points, _ in sides) < LEAST:
-            return None
-        cell = COMPARED * factor * self.part.size
-        reach = 2.0 * min(robust_radius(points) for points, _ in sides)
-        first, second = (self._asked(*side, cell, reach) for side in sides)
-        return Comparison(first, second, cell)
+    @cached_property
+    def _witnesses(self) -> Witnesses | None:
+        return self._asked(self.part.points, self.part.normals)
 
-    def _asked(self, points: np.ndarray, normals: np.ndarray, cell: float, reach: float) -> Witnesses:
-        count = int(np.clip(ASKED * len(points) / len(self.part.points), ASKED, MOST_ASKED))
-        return asked(points, normals, cell, reach, np.random.default_rng(self._seed), NEIGHBORS, count)
+    def _asked(self, points: np.ndarray, normals: np.ndarray) -> Witnesses | None:
+        known = (normals != 0).any(1)
+        if known.sum() < LEAST:
+            return None
+        count = int(np.clip(ASKED * known.sum() / len(self.part.points), ASKED, MOST_ASKED))
+        cell, reach = COMPARED * self.part.size, 2.0 * robust_radius(self.part.points)
+        rng = np.random.default_rng(self._seed)
+        return asked(points[known], normals[known], cell, reach, rng, NEIGHBORS, count)
 
     def refined(
         self, transform: np.ndarray, gates: tuple[float, ...], samples: int, *, fine: bool, estimate_scale: bool
@@ -135,18 +136,13 @@ def collapsed(end: float, start: float) -> bool:
     return not 1.0 / COLLAPSED < end / start < COLLAPSED
 
 
-def comparable(scale: float) -> bool:
-    """Return whether clouds can be compared at a scale between their normalised frames."""
-    return SCALES[0] < scale < SCALES[1]
+def comparable(scale: float | np.ndarray) -> Any:
+    """Return whether clouds can be compared at a scale, or which of several ones, between their normalised frames."""
+    return (SCALES[0] < scale) & (scale < SCALES[1])
 
 
 def _number(scale: float) -> int:
     return round(np.log(scale) / np.log(RUNG))
-
-
-def _known(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    known = (normals != 0).any(1)
-    return points[known], normals[known]
 
 
 def scale_of(transform: np.ndarray) -> float:

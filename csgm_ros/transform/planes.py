@@ -12,7 +12,7 @@ from csgm_ros.cloud.planes import Plane, frame
 from csgm_ros.cloud.voxels import voxel_means
 from csgm_ros.config import HypothesesConfig
 from csgm_ros.transform import occupancy
-from csgm_ros.transform.flight import Flight
+from csgm_ros.transform.flight import Flight, comparable
 from csgm_ros.transform.ladder import Ladder, turned
 from csgm_ros.transform.sources import StructurePair
 
@@ -105,6 +105,7 @@ class Look(NamedTuple):
 
 def looks_at(ladder: Ladder, scales: np.ndarray) -> list[Look]:
     """Return from which sides two clouds are looked at, for scales from the source to the target."""
+    scales = scales[comparable(scales)]
     back = scales > ladder.turning
     looks = Look(ladder.flights[0], False, scales[~back]), Look(ladder.flights[1], True, 1.0 / scales[back])
     return [look for look in looks if len(look.scales) and len(look.flight.part.points) >= MIN_CELLS]

@@ -69,6 +69,13 @@ def test_the_whole_is_laid_on_its_part(given):
     assert best.displacement(truth.inverse(), target) * scale < 0.15
 
 
+@pytest.mark.parametrize('factor', [1e-7, 1e7])
+def test_nothing_is_found_where_one_cloud_is_a_point_of_the_other(factor):
+    ladder = Ladder(view(hall(1)), factor * hall(2), 0)
+    found = finalists(ladder, np.ones(1), NOTHING)
+    assert not ladder.scores(found).any()
+
+
 def test_the_same_clouds_have_the_same_finalists():
     source, target = view(hall(1)), hall(2)
     first, second = (finalists(Ladder(source, target, 0), np.ones(1), NOTHING) for _ in range(2))
