@@ -203,8 +203,8 @@ def _state() -> str:
     """Return a digest of the code that finds out."""
     package = Path(__file__).resolve().parents[1] / 'csgm_ros'
     files = [path for path in sorted((package / 'verification').glob('*.py')) if path.name != 'decide.py']
-    files += [package / 'cloud' / 'agreement.py', package / 'cloud' / 'witnesses.py']
-    files += [package / 'transform' / 'batch_icp.py', Path(__file__).with_name('verdict_trials.py')]
+    others = 'exchange.py', 'cloud/agreement.py', 'cloud/witnesses.py', 'transform/batch_icp.py'
+    files += [*map(package.joinpath, others), Path(__file__).with_name('verdict_trials.py')]
     return hashlib.sha256(b''.join(path.read_bytes() for path in files)).hexdigest()[:12]
 
 

@@ -25,6 +25,7 @@ from csgm_ros.attempts import Attempt
 from csgm_ros.cloud.agreement import Agreement
 from csgm_ros.config import Config, VerificationConfig, profile, replaced
 from csgm_ros.errors import CsgmError
+from csgm_ros.exchange import ordered
 from csgm_ros.scale import normalize
 from csgm_ros.transform.refinement import refine_between
 from csgm_ros.types import Similarity
@@ -83,8 +84,9 @@ def config_of(case: Case) -> Config:
 def view_of(case: Case) -> View:
     """Return a case as verification sees it."""
     config = config_of(case)
-    pair = normalize((case.source, case.target), config)
-    return View(pair, config, np.random.default_rng(0), refine_between, case.eyes)
+    pair = ordered(normalize((case.source, case.target), config))
+    eyes = case.eyes[::-1] if pair.exchanged else case.eyes
+    return View(pair, config, np.random.default_rng(0), refine_between, eyes)
 
 
 def right(estimate: np.ndarray, case: Case) -> bool:
@@ -200,16 +202,19 @@ def _refined(case: Case, view: View, transforms: np.ndarray) -> np.ndarray:
     comparison, scale = view.comparison(normal(view, transforms[0]).scale)
     source, target = (unit.matrix for unit in view.pair.normalizations)
     shrink = np.diag([scale, scale, scale, 1.0])
-    inner = target @ transforms @ np.linalg.inv(source) @ np.linalg.inv(shrink)
+    own = np.linalg.inv(transforms) if view.pair.exchanged else transforms
+    inner = target @ own @ np.linalg.inv(source) @ np.linalg.inv(shrink)
     moved = refined(comparison, inner, DISTANCES, refine_between, estimate_scale=not case.rigid)
     scores = [comparison.agreement(transform).score for transform in moved]
-    return (np.linalg.inv(target) @ moved @ shrink @ source)[np.argsort(scores)[::-1]]
+    found = (np.linalg.inv(target) @ moved @ shrink @ source)[np.argsort(scores)[::-1]]
+    return np.linalg.inv(found) if view.pair.exchanged else found
 
 
 def normal(view: View, transform: np.ndarray) -> Similarity:
     """Return a (4, 4) transform between own units as one between the normalised clouds."""
     source, target = view.pair.normalizations
-    return target @ Similarity.from_matrix(transform) @ source.inverse()
+    own = Similarity.from_matrix(transform)
+    return target @ (own.inverse() if view.pair.exchanged else own) @ source.inverse()
 
 
 # --- the cache: a file of clouds and planted trials for each case

@@ -7,7 +7,7 @@ otherwise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from csgm_ros import schema
@@ -89,6 +89,11 @@ class ScaleConfig(Checked):
         if self.prior == 0.0:
             return self.scale_min, self.scale_max
         return max(self.scale_min, self.prior / self.prior_factor), min(self.scale_max, self.prior * self.prior_factor)
+
+    def exchanged(self) -> ScaleConfig:
+        """Return the same for source and target exchanged: source per target unit."""
+        prior = 1.0 / self.prior if self.prior else 0.0
+        return replace(self, scale_min=1.0 / self.scale_max, scale_max=1.0 / self.scale_min, prior=prior)
 
 
 @dataclass(frozen=True)

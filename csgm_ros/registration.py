@@ -16,6 +16,7 @@ from csgm_ros.cloud.prepare import finite_points, viewpoint
 from csgm_ros.cloud.smoothing import smoothed
 from csgm_ros.config import Config, profile, replaced
 from csgm_ros.errors import DegenerateCloudError, InputError, naming
+from csgm_ros.exchange import exchanged, ordered
 from csgm_ros.graph.affinity import affinity
 from csgm_ros.graph.build import build
 from csgm_ros.matching.guided import match_guided
@@ -88,7 +89,7 @@ def register(
     config : Config, optional
         Default: profile ``robust``.
     seed : int, optional
-        Same input, configuration and seed: same bits.
+        Same input, configuration and seed: same bits; the inverse where the clouds are exchanged.
     on_progress : callable, optional
         Called as ``on_progress(stage, fraction)``; raise :class:`csgm_ros.errors.Cancelled` from it to stop.
     details : bool, optional
@@ -140,7 +141,7 @@ def register(
         _attempts(clouds, viewpoints, prior, config, seed, clock, details, results)
     clock.finish()
     best = best_of(results.values()) if results else _unfinished(config)
-    return dataclasses.replace(best, timings=clock.timings, seed=seed)
+    return dataclasses.replace(best, timings=clock.timings, seed=seed, config=config)
 
 
 def _attempts(
@@ -155,6 +156,11 @@ def _attempts(
 ) -> None:
     """Run one attempt of the schedule after the other until one is accepted, and put their results, by smoothing."""
     pair = normalize(clouds, config, clock.check)  # step 1
+    if prior is None:  # its spreads are those of the source's place, and say nothing of the target's
+        pair = ordered(pair)
+        clock.check()
+    if pair.exchanged:
+        config, viewpoints = dataclasses.replace(config, scale=config.scale.exchanged()), viewpoints[::-1]
     ladder = Ladder(*pair.normalized, seed, clock.check)
     expected = prior and _normalized(prior, pair)
     views: dict[int, View] = {}
@@ -208,7 +214,7 @@ def _attempt(
     result = _result(best, verdict, matched, view.pair, config)
     if details:
         result = dataclasses.replace(result, details=_details(best, structures, matched, view, config))
-    return view, result
+    return view, exchanged(result) if view.pair.exchanged else result
 
 
 def _view(
@@ -225,7 +231,7 @@ def _view(
     for points, unit in zip(pair.normalized, pair.normalizations, strict=True):
         smooth.append(unit.inverse().apply(smoothed(points, attempt.smoothing, look=clock.check)))
         clock.check()
-    pair = NormalizedPair((smooth[0], smooth[1]), pair.normalizations)
+    pair = dataclasses.replace(pair, clouds=(smooth[0], smooth[1]))
     return View(pair, config, rng, refine_between, viewpoints, smoothed=True, look=clock.check)
 
 
@@ -233,10 +239,10 @@ def _structures(
     pair: NormalizedPair, attempt: Attempt, config: Config, rng: np.random.Generator, clock: Clock
 ) -> tuple[Structure, Structure]:
     """Step 2 for both clouds at a time, with no more nodes than matching can take."""
-    relatives = (attempt.relative, 1.0)
+    relatives, names = (attempt.relative, 1.0), NAMES[::-1] if pair.exchanged else NAMES
     with ThreadPoolExecutor(1 if config.threads == 1 else 2) as pool:
         for last in (False, False, True):
-            cuts = tuple(pool.map(_cut, NAMES, pair.normalized, (config,) * 2, relatives))
+            cuts = tuple(pool.map(_cut, names, pair.normalized, (config,) * 2, relatives))
             clock.check()
             crowding = max(map(len, cuts)) / config.supervoxels.max_nodes
             if crowding <= 1.0 or last:
@@ -244,7 +250,7 @@ def _structures(
             seed_size = min(config.supervoxels.seed_size * 1.1 * np.sqrt(crowding), 1.0)
             config = replaced(config, {'supervoxels.seed_size': float(seed_size)})
         described = []
-        for each in pool.map(_described, NAMES, cuts, pair.normalizations, (config,) * 2, rng.spawn(2), relatives):
+        for each in pool.map(_described, names, cuts, pair.normalizations, (config,) * 2, rng.spawn(2), relatives):
             clock.check()
             described.append(each)
         source, target = described

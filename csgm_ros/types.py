@@ -134,10 +134,13 @@ class NormalizedPair:
         Finite points in the clouds' own units, outliers left out.
     normalizations : pair of Similarity
         From each own unit to a frame in which the cloud is centred and has radius 1.
+    exchanged : bool
+        The first cloud is the target of whoever asked: the search has an order of its own.
     """
 
     clouds: tuple[np.ndarray, np.ndarray]
     normalizations: tuple[Similarity, Similarity]
+    exchanged: bool = False
 
     @cached_property
     def normalized(self) -> tuple[np.ndarray, np.ndarray]:

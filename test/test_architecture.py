@@ -29,7 +29,8 @@ FILES = {
     **dict.fromkeys(NOUNS, frozenset()),
     'scale': set(),
     'attempts': set(),
-    'registration': {'scale', 'structure', 'graph', 'matching', 'transform', 'verification', 'attempts'},
+    'exchange': set(),
+    'registration': {'scale', 'structure', 'graph', 'matching', 'transform', 'verification', 'attempts', 'exchange'},
     '__init__': {'registration'},
 }
 # Libraries that rosdep does not know, extras of pip, and where alone they are imported.

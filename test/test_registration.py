@@ -179,9 +179,49 @@ def test_both_clouds_in_another_unit_give_the_same():
     assert_agree(registered(), moved(result, Similarity(found.scale, found.rotation, found.translation / 1000.0)))
 
 
-def test_exchanged_clouds_give_the_inverse():
-    result = register(TRUTH.apply(TARGET), SOURCE)
-    assert_agree(moved(result, result.transform.inverse()), registered())
+def test_exchanged_clouds_give_the_inverse_and_the_same_verdict():
+    forth = register(SOURCE, TRUTH.apply(TARGET), details=True)
+    back = register(TRUTH.apply(TARGET), SOURCE, details=True)
+    assert_right(forth, TRUTH, SOURCE)
+    there, here = (back.transform @ forth.transform).apply(SOURCE), SOURCE
+    np.testing.assert_allclose(there, here, atol=1e-12 * radius(SOURCE))
+    assert back.verdict.terms == forth.verdict.terms
+    assert back.reason == forth.reason
+    assert (back.fitness_source, back.fitness_target) == (forth.fitness_target, forth.fitness_source)
+    assert back.verdict.inlier_rmse * forth.scale == pytest.approx(forth.verdict.inlier_rmse)
+    for one, other in ((forth.matches, back.matches), (forth.unguided_matches, back.unguided_matches)):
+        np.testing.assert_array_equal(one, np.array(sorted(other[:, ::-1].tolist())))
+    assert len(back.match_inliers) == len(back.matches)
+    np.testing.assert_array_equal(back.source_graph.nodes, forth.target_graph.nodes)
+    assert len(back.details.structures[0].nodes) == len(back.source_graph.nodes)
+    assert back.details.match_distance * forth.scale == pytest.approx(forth.details.match_distance)
+    best = back.details.hypotheses[0]
+    assert (best.fitness_source, best.fitness_target) == (back.fitness_source, back.fitness_target)
+    np.testing.assert_allclose(best.transform.matrix, back.T_target_source)
+
+
+def test_exchanged_clouds_keep_to_exchanged_bounds_and_viewpoints():
+    """Whichever is searched in the other order, the scales and the sensors are those of who asked."""
+    clouds, eye = (SOURCE, TRUTH.apply(TARGET)), SOURCE.mean(0)
+    forth, back = (
+        replaced(QUICK, {'scale.prior': prior, 'scale.prior_factor': 1.1}) for prior in (TRUTH.scale, 1 / TRUTH.scale)
+    )
+    results = (
+        register(*clouds, forth, source_viewpoint=eye),
+        register(*clouds[::-1], back, target_viewpoint=eye),
+    )
+    for result, config in zip(results, (forth, back), strict=True):
+        assert result.accepted, result.reason
+        assert result.config == config
+    assert results[0].verdict.terms == results[1].verdict.terms
+    assert any('looked through' in term.name for term in results[0].verdict.terms)
+
+
+@pytest.mark.parametrize('name', ['source', 'target'])
+def test_the_cloud_that_has_no_structure_is_named_in_either_order(name):
+    dust = np.random.default_rng(0).uniform(size=(60, 3))
+    with pytest.raises(InputError, match=f'^{name}: '):
+        register(**{'source': SOURCE, 'target': SOURCE, name: dust})
 
 
 def test_rows_that_are_not_finite_are_ignored():

@@ -125,6 +125,17 @@ def compared(comparison: Comparison, winner: np.ndarray, others: Iterable[np.nda
     return Findings(agreement, tuple(rival for rival in rivals if rival.displacement > SAME))
 
 
+def exchanged(findings: Findings, winner: np.ndarray) -> Findings:
+    """Return the findings on the inverse of a winner: its motions in the source's frame, its scales upside down."""
+    back = -winner[:3, :3].T / np.sqrt((winner[:3, 0] ** 2).sum())
+    rivals = (
+        replace(rival, motion=rival.motion and replace(rival.motion, axis=back @ rival.motion.axis))
+        for rival in findings.rivals
+    )
+    curve = tuple((1.0 / factor, ratio) for factor, ratio in findings.scale_curve)
+    return replace(findings, rivals=tuple(rivals), scale_curve=curve)
+
+
 def probe(
     comparison: Comparison, winner: np.ndarray, agreement: Agreement, refine: Refine, *, estimate_scale: bool
 ) -> Probes | None:

@@ -22,6 +22,7 @@ from csgm_ros.verification.findings import (
     Refine,
     compared,
     competing,
+    exchanged,
     probe,
     probed,
     refined,
@@ -124,10 +125,8 @@ class View:
         if self._decided(best, findings).accepted:
             findings = self.probed(best.transform, transforms, findings)
         self.rivals = self._unreduced(findings, best.transform.scale)
-        verdict = within_bounds(
-            self._decided(best, findings), self.pair.in_own_units(best.transform).scale, self._config.scale
-        )
-        return replace(verdict, inlier_rmse=verdict.inlier_rmse / self.pair.normalizations[1].scale)
+        verdict = self._decided(best, findings)
+        return replace(verdict, inlier_rmse=verdict.inlier_rmse * self._units(best).length)
 
     def compared(self, transform: Similarity, others: Iterable[Similarity]) -> Findings:
         """Return what other transforms and the viewpoints say about one between the normalised clouds."""
@@ -167,9 +166,19 @@ class View:
         return [(Similarity.from_matrix(r.transform @ back), r.ratio) for r in rivals if r.transform is not None]
 
     def _decided(self, best: Evidence, findings: Findings) -> Verdict:
-        units = Units(1.0 / self.pair.normalizations[1].scale, self.pair.in_own_units(best.transform).scale)
-        estimate_scale = self._config.scale.estimate_scale
-        return decide(best, findings, self._config.verification, units, estimate_scale=estimate_scale)
+        """Return the verdict in terms of who asked."""
+        config, scale, units = self._config, self._config.scale, self._units(best)
+        if self.pair.exchanged:
+            findings = exchanged(findings, best.transform.matrix)
+            best = replace(best, fitness_source=best.fitness_target, fitness_target=best.fitness_source)
+            scale = scale.exchanged()
+        verdict = decide(best, findings, config.verification, units, estimate_scale=scale.estimate_scale)
+        return within_bounds(verdict, units.scale, scale)
+
+    def _units(self, best: Evidence) -> Units:
+        """Return the units of who asked."""
+        scale, length = self.pair.in_own_units(best.transform).scale, 1.0 / self.pair.normalizations[1].scale
+        return Units(length / scale, 1.0 / scale) if self.pair.exchanged else Units(length, scale)
 
     def comparison(self, scale: float) -> tuple[Comparison, float]:
         """Return the clouds at the length of their structure, the source enlarged, and by how much."""
