@@ -25,6 +25,8 @@ LOGISTIC = (-2.9, 1.4)  # bias, and slope over the margin in its own uncertainty
 STEEP = 12.0  # logarithm of a score, per radius: a cell off, of some twenty, a fit is worth half
 INEXACT = 2.4  # the margin with which a place is believed whose pose is not exact
 LACKING, CONTRADICTED, AMBIGUOUS = 0.02, 0.1, 0.5  # most confidence in what is rejected, by why
+CLEAR = 20.0  # logarithm of the margin, in its own uncertainty, from which what fits mirrored too is no chance, ...
+SYMMETRIC = 1.1  # ... and how well that may fit; a mirror image fits twice as well as what is taken for it
 NOTHING = 0.05  # the least score, relative to the winner's, that something different has
 NEARBY = 6.0  # cells of displacement up to which a transform is the same but for bent clouds and noise ...
 NEARBY_MARGIN = 1.15  # ... and need not be so much worse
@@ -65,9 +67,12 @@ def needed_margin(findings: Findings, limits: VerificationConfig) -> float:
 def most_mirrored(findings: Findings, limits: VerificationConfig) -> float:
     """Return how well the mirrored source may fit: a mirror image is never right, so that is what chance makes fit.
 
-    What has an answer fits better than that, by more than its score is uncertain by.
+    What has an answer fits better than that, by more than its score is uncertain by. Chance would make something else
+    fit as it does mirrored: where nothing does by far, the object is its own mirror image, as animals are.
     """
-    return limits.max_mirrored * float(np.exp(-_deviation(findings)))
+    deviation = _deviation(findings)
+    symmetric = np.log(margin(findings)) >= CLEAR * deviation
+    return limits.max_mirrored * (SYMMETRIC if symmetric else float(np.exp(-deviation)))
 
 
 def _deviation(findings: Findings) -> float:

@@ -18,9 +18,10 @@ Refine = Callable[..., np.ndarray]
 
 WIDE_DISTANCES, FINE_DISTANCES = (4.0, 2.5, 1.5), (0.75, 0.4)  # cells, of the correspondences of probes
 SAME_DISTANCES = (1.0, 0.5)
-FEW, SOME = 400, 700  # points
+FEW, SOME, PROBES = 400, 700, 60  # points
 MOST_RIVALS = 16  # that are measured on all points, of what is probed
-MOST_MIRRORED = 96, 48, 4  # that are kept after the widest distance, after all wide ones, and to be measured
+MIRRORED = ((WIDE_DISTANCES[:1], 350, 48), (WIDE_DISTANCES[1:], SOME, 16), (FINE_DISTANCES, SOME, 4))
+"""Rounds of mirror images: correspondence distances, points that tell the best, and how many are kept."""
 MIN_OVERLAP = 20  # points, below which there is nothing to probe
 BOARDS = ((5.0, 0.0), (5.0, 0.37), (8.0, 0.0), (8.0, 0.37))  # edge in cells and phase of the checkerboards
 SAME_SCALE, SAME_ANGLE = 0.05, 10.0  # |log factor| and degrees up to which a rival only slides
@@ -143,7 +144,11 @@ def probe(
     overlap = comparison.overlap(winner)
     if len(overlap[0]) < MIN_OVERLAP:
         return None
-    moved = competing(comparison, symmetries(winner, *overlap), refine, estimate_scale=estimate_scale)
+    starts = symmetries(winner, *overlap)
+    # as they are too: at wide distances, what fits by little of what it shows shrinks onto that
+    moved = np.concatenate(
+        [competing(comparison, starts, refine, estimate_scale=free) for free in sorted({estimate_scale, False})]
+    )
     flipped = _mirrored(comparison, winner, overlap, refine, estimate_scale=estimate_scale)
     distances = *WIDE_DISTANCES[2:], *FINE_DISTANCES
     resized = refined(comparison, scales(winner, overlap[0]), distances, refine, estimate_scale=False)
@@ -172,7 +177,8 @@ def probed(
     moved = np.concatenate([probes.moved, others])
     moved = np.array([other for other in moved if _apart(comparison, winner, other) > SAME]).reshape(-1, 4, 4)
     agreement = findings.agreement
-    rivals = [_rival(comparison, winner, agreement, other) for other in _best(comparison, moved, MOST_RIVALS)]
+    moved = moved[_ranked(comparison, moved, SOME)[:MOST_RIVALS]]
+    rivals = [_rival(comparison, winner, agreement, other) for other in moved]
     return replace(
         findings,
         rivals=(*findings.rivals, *rivals),
@@ -194,17 +200,31 @@ def _mirrored(
     """Return the transforms (H, 4, 4) under which the mirrored source fits best."""
     source, target = comparison.sides
     moved = source.points @ winner[:3, :3].T + winner[:3, 3]
-    flipped = mirrors(winner, *overlap, (moved, target.points))
-    for distances, most in zip((WIDE_DISTANCES[:1], WIDE_DISTANCES[1:], FINE_DISTANCES), MOST_MIRRORED, strict=True):
+    flipped = mirrors(winner, *overlap, (moved, target.points), comparison.cell)
+    for distances, points, most in MIRRORED:
         flipped = refined(comparison, flipped, distances, refine, estimate_scale=estimate_scale)
-        flipped = _best(comparison, flipped, most)
+        flipped = _different(comparison, flipped, points, most)
     return flipped
 
 
-def _best(comparison: Comparison, transforms: np.ndarray, count: int) -> np.ndarray:
-    """Return the ``count`` best of (H, 4, 4) transforms, as few points tell."""
-    scores = [comparison.agreement(transform, SOME).score for transform in transforms]
-    return transforms[np.argsort(scores)[::-1][:count]]
+def _different(comparison: Comparison, transforms: np.ndarray, points: int, count: int) -> np.ndarray:
+    """Return the ``count`` best of (H, 4, 4) transforms that are a cell apart, as so many points tell."""
+    source = comparison.sides[0]
+    probe = source.points[source.sample[:PROBES]]
+    ends = probe @ transforms[:, :3, :3].transpose(0, 2, 1) + transforms[:, None, :3, 3]
+    kept: list[int] = []
+    for number in _ranked(comparison, transforms, points):
+        offsets = ((ends[kept] - ends[number]) ** 2).sum(2).mean(1)
+        if (offsets > comparison.cell**2).all():
+            kept.append(number)
+        if len(kept) == count:
+            break
+    return transforms[kept]
+
+
+def _ranked(comparison: Comparison, transforms: np.ndarray, points: int) -> np.ndarray:
+    """Return the order of (H, 4, 4) transforms, best first, as so many points tell."""
+    return np.argsort([comparison.agreement(transform, points).score for transform in transforms])[::-1]
 
 
 def refined(

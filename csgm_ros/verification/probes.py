@@ -6,7 +6,7 @@ turn or a corner blown up is easily proposed, once the winner is known.
 
 from __future__ import annotations
 
-import itertools
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -15,7 +15,7 @@ TURNS = (90.0, 180.0, 270.0)
 FINER_TURNS = (30.0, 60.0, 72.0, 120.0, 144.0)  # about the axis of revolution, if there were one
 SCALES = (0.7, 0.8, 0.88, 0.94, 1.06, 1.14, 1.25, 1.43)
 MIRRORS = 96  # planes in all directions: that in which an object is nearly symmetric may be any, and is missed by 40
-SAME_AXIS = 0.97  # cosine from which two axes are one
+SAME_AXIS, SAME_SLIDE = 0.97, 0.995  # cosines from which two axes are one
 
 
 def symmetries(transform: np.ndarray, points: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -32,7 +32,8 @@ def symmetries(transform: np.ndarray, points: np.ndarray, normals: np.ndarray, w
     length = np.sqrt(spread.sum())
     _, across = np.linalg.eigh((normals * weights[:, None]).T @ normals)  # weakest first: where nothing holds it
     found = []
-    for axis in _different((across[:, 0], across[:, 1], along[:, 2])):
+    # what faces nearly one way has a plane of weak directions, and a wall its windows along its edges
+    for axis in _different((across[:, 0], across[:, 1], along[:, 2], along[:, 1]), SAME_SLIDE):
         found += [_moved(axis * t * length) @ transform for t in SLIDES]
     middle = _middle(points, across)
     for axis in _different((*across.T, *along.T)):
@@ -48,22 +49,27 @@ def mirrors(
     normals: np.ndarray,
     weights: np.ndarray,
     clouds: tuple[np.ndarray, np.ndarray],
+    apart: float,
 ) -> np.ndarray:
     """Return (M, 4, 4): a (4, 4) transform, then a mirror, see :func:`symmetries`.
 
     The planes go through the middle of the overlap and of either of the ``clouds`` (N, 3) in the target's frame: of an
-    object that is nearly its own mirror image two views may share only one side.
+    object that is nearly its own mirror image two views may share only one side. Parallel ones are ``apart``.
     """
     _, along = np.linalg.eigh(np.cov(points.T))
     _, across = np.linalg.eigh((normals * weights[:, None]).T @ normals)
     axes = *_different((*across.T, *along.T)), *_hemisphere(MIRRORS)
     found = []
-    middles = [_middle(part, across) for part in (points, *clouds)]
-    for middle, axis in itertools.product(middles, axes):
-        change = np.eye(4)
-        change[:3, :3] -= 2.0 * np.outer(axis, axis)
-        change[:3, 3] = 2.0 * axis * (axis @ middle)
-        found.append(change @ transform)
+    middles = np.array([_middle(part, across) for part in (points, *clouds)])
+    for axis in axes:
+        kept: list[float] = []
+        for offset in middles @ axis:
+            if all(abs(offset - other) > apart for other in kept):
+                kept.append(offset)
+                change = np.eye(4)
+                change[:3, :3] -= 2.0 * np.outer(axis, axis)
+                change[:3, 3] = 2.0 * axis * offset
+                found.append(change @ transform)
     return np.array(found)
 
 
@@ -86,10 +92,10 @@ def _hemisphere(count: int) -> np.ndarray:
     return np.column_stack([ring * np.cos(angle), ring * np.sin(angle), height])
 
 
-def _different(axes) -> list[np.ndarray]:
+def _different(axes: Iterable[np.ndarray], same: float = SAME_AXIS) -> list[np.ndarray]:
     kept: list[np.ndarray] = []
     for axis in axes:
-        if all(abs(axis @ other) < SAME_AXIS for other in kept):
+        if all(abs(axis @ other) < same for other in kept):
             kept.append(axis)
     return kept
 

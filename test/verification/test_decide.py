@@ -56,6 +56,7 @@ def judged(found, *, estimate_scale=True):
         (findings(found(0.45), agreement=agreement(planes=60.0), imprecision=0.01), '2.2 times as well'),
         (findings(found(0.4), agreement=agreement(planes=60.0), imprecision=9.9), '2.5 times as well'),
         (findings(mirrored=0.79), 'independent surfaces'),
+        (findings(agreement=agreement(planes=80.0), mirrored=1.05), '20.0 times as well'),  # its own mirror image
         (findings(found(0.4), agreement=agreement(planes=60.0), mirrored=0.85), '2.5 times as well'),
         (findings(curve=()), 'independent surfaces'),
         (findings(curve=((0.94, 1.0), (1.06, 1.0), (1.14, 0.1))), 'independent surfaces'),  # the same answer
@@ -81,6 +82,8 @@ def test_what_nothing_speaks_against_is_accepted(given, said):
         (findings(curve=((0.94, 0.5), (1.06, 1.3), (1.14, 0.4))), 'not settled: it fits 1.30 times as well 1.06 times'),
         (findings(Rival(0.95, 3.0)), 'a different transform'),  # nearby, and as good
         (findings(mirrored=1.5), 'mirror image'),
+        (findings(agreement=agreement(planes=80.0), mirrored=1.15), 'mirror image'),
+        (findings(found(0.19), agreement=agreement(planes=24.0), mirrored=0.9), 'a fit by chance'),  # a corner
         (findings(mirrored=0.82), 'a fit by chance'),  # of 20 surfaces: less than one standard deviation worse
         (findings(found(0.3), agreement=agreement(planes=5.0)), '0.30 times as well'),  # few surfaces: a wide margin
         (findings(found(0.45), agreement=agreement(planes=60.0), imprecision=0.022), '0.45 times as well'),  # not exact
