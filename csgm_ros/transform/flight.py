@@ -63,14 +63,17 @@ class Flight:
             self._rungs[number] = cells(whole, size, MOST, np.random.default_rng(self._seed))
         return self._rungs[number]
 
-    def score(self, transform: np.ndarray) -> float:
-        """Return how far the clouds agree under a (4, 4) transform, see :class:`Comparison`."""
+    def score(self, transform: np.ndarray, most: int | None = None) -> float:
+        """Return how far the clouds agree under a (4, 4) transform, as ``most`` points of each tell.
+
+        See :class:`csgm_ros.cloud.agreement.Comparison`.
+        """
         scale = scale_of(transform)
         comparison = self.comparison(scale) if comparable(scale) else None
         if comparison is None:
             return 0.0
-        agreement = comparison.agreement(np.diag([*3 * [RUNG ** -_number(scale)], 1.0]) @ transform)
-        return agreement.evidence if agreement.inliers >= MIN_INLIERS else 0.0
+        agreement = comparison.agreement(np.diag([*3 * [RUNG ** -_number(scale)], 1.0]) @ transform, most)
+        return agreement.evidence if most or agreement.inliers >= MIN_INLIERS else 0.0
 
     def comparison(self, scale: float) -> Comparison | None:
         """Return the clouds on the rung of a scale, the whole shrunk to the part; None where one shows nothing."""

@@ -76,16 +76,16 @@ class Ladder:
             starts, scores = starts[kept], scores[kept]
         return starts
 
-    def scores(self, transforms: Iterable[np.ndarray]) -> np.ndarray:
+    def scores(self, transforms: Iterable[np.ndarray], most: int | None = None) -> np.ndarray:
         """Return how far the clouds agree (H,) under (H, 4, 4) transforms, see :meth:`Flight.score`."""
-        return np.array([self._score(transform) for transform in transforms])
+        return np.array([self._score(transform, most) for transform in transforms])
 
-    def _score(self, transform: np.ndarray) -> float:
+    def _score(self, transform: np.ndarray, most: int | None) -> float:
         scale = scale_of(transform)
         if not comparable(scale):
             return 0.0
         flight, back = self.flight(scale)
-        return flight.score(turned(transform, back))
+        return flight.score(turned(transform, back), most)
 
     def distinct(self, transforms: np.ndarray, order: Iterable[int], count: int, distance: float = SAME) -> list[int]:
         """Return the first ``count`` indices of an order whose (H, 4, 4) transforms differ by ``distance`` cells.

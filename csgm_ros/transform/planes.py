@@ -22,7 +22,8 @@ STEP = 0.1  # between the logarithms of two scales
 PROMISING = 240  # places of the coarse look around which is looked finely
 MIN_CELLS = 500  # of the part; fewer have no layers
 MOST_SORTED = 3000
-CANDIDATES = 160  # different places that get a short ICP
+CANDIDATES, STARTS = 160, 240  # different places that are proposed, and that get a short ICP
+FEW = 200  # points of each cloud that tell how far they agree at a peak
 PASS = 2 / 3  # of the frequencies are kept: the softened occupancy has no more
 
 
@@ -283,9 +284,16 @@ def _promising(ladder: Ladder, looks: list[Look]):
 
 
 def finalists(ladder: Ladder, scales: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return the best different transforms (F, 4, 4), best first; those ``known`` (K, 4, 4) take part."""
-    starts = np.concatenate([known, candidates(ladder, scales)])
-    return ladder.best(starts, estimate_scale=len(scales) > 1)
+    """Return the best different transforms (F, 4, 4), best first; those ``known`` (K, 4, 4) take part.
+
+    Three kinds of peaks start: those that correlate best, those that stand out most at their scale, and those under
+    which the clouds agree best as they are.
+    """
+    values, robust, transforms = correlate(ladder, scales)
+    agreement = ladder.scores(transforms, FEW)
+    order = _interleaved(values, robust, agreement)[:MOST_SORTED]
+    starts = transforms[ladder.distinct(transforms, order, STARTS, distance=3.0)]
+    return ladder.best(np.concatenate([known, starts]), estimate_scale=len(scales) > 1)
 
 
 def candidates(ladder: Ladder, scales: np.ndarray) -> np.ndarray:
