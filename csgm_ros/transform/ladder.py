@@ -17,8 +17,11 @@ from csgm_ros.transform.flight import Flight, comparable, scale_of
 SAME = 2.0  # cells of mean displacement up to which two transforms are one
 APART = 6.0  # nearer to a better one, a finalist is the same but for bent clouds and noise
 FINALISTS = 6
+FIRST: tuple[tuple[float, ...], int, int, int] = (4.0, 2.0), 100, 300, 160
+"""Gates in cells and points of the part of a first, short ICP; points that are then asked how far the clouds agree, and
+how many transforms are left."""
 ROUNDS = (((4.0, 3.0), 300, False, 40), ((2.0, 1.5), 500, False, 16), ((2.0, 1.2, 0.8), 2000, True, 16))
-"""Of the refinement: gates of the ICP in cells, points of the part, on the finer tables, and how many are left."""
+"""Of the refinement: gates, points, on the finer tables, and how many are left."""
 
 
 class Ladder:
@@ -59,22 +62,35 @@ class Ladder:
         back = bool(scale > self.turning)
         return self.flights[back], back
 
+    def backs(self, transforms: np.ndarray) -> np.ndarray:
+        """Return which (H,) of (H, 4, 4) transforms see the target as the part."""
+        return np.cbrt(np.linalg.det(transforms[:, :3, :3])) > self.turning
+
     def best(self, starts: np.ndarray, *, estimate_scale: bool) -> np.ndarray:
         """Return the best different ones (F, 4, 4) of (H, 4, 4) transforms, best first, refined round by round."""
+        gates, samples, most, count = FIRST
+        starts = self._refined(starts, gates, samples, estimate_scale=estimate_scale)
+        starts = starts[self.distinct(starts, np.argsort(-self.scores(starts, most), kind='stable'), count)]
         scores = np.zeros(len(starts))
         for gates, samples, fine, count in ROUNDS:
-            refined = np.empty_like(starts)
-            for h, start in enumerate(starts):
-                self.look()
-                flight, back = self.flight(scale_of(start))
-                end = flight.refined(turned(start, back), gates, samples, fine=fine, estimate_scale=estimate_scale)
-                refined[h] = turned(end, back)
+            refined = self._refined(starts, gates, samples, fine=fine, estimate_scale=estimate_scale)
             again = self.scores(refined)
             better = again >= scores
             starts, scores = np.where(better[:, None, None], refined, starts), np.maximum(scores, again)
             kept = self.distinct(starts, np.argsort(-scores, kind='stable'), count)
             starts, scores = starts[kept], scores[kept]
         return starts
+
+    def _refined(
+        self, starts: np.ndarray, gates: tuple[float, ...], samples: int, *, fine: bool = False, estimate_scale: bool
+    ) -> np.ndarray:
+        ends = np.empty_like(starts)
+        for h, start in enumerate(starts):
+            self.look()
+            flight, back = self.flight(scale_of(start))
+            end = flight.refined(turned(start, back), gates, samples, fine=fine, estimate_scale=estimate_scale)
+            ends[h] = turned(end, back)
+        return ends
 
     def scores(self, transforms: Iterable[np.ndarray], most: int | None = None) -> np.ndarray:
         """Return how far the clouds agree (H,) under (H, 4, 4) transforms, see :meth:`Flight.score`."""
@@ -93,7 +109,7 @@ class Ladder:
         So much they move the part, in cells at the scale of the later one.
         """
         scales = np.cbrt(np.linalg.det(transforms[:, :3, :3]))
-        backs = (scales > self.turning).astype(int)
+        backs = self.backs(transforms).astype(int)
         used = np.unique(backs)
         images = {f: self.flights[f].images(turned(transforms, bool(f))) for f in used}
         chosen = {f: np.empty((count, *images[f].shape[1:])) for f in used}

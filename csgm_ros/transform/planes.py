@@ -19,11 +19,10 @@ from csgm_ros.transform.sources import StructurePair
 PLANES = 3  # of a cloud
 PEAKS = 2  # of a correlation
 STEP = 0.1  # between the logarithms of two scales
-PROMISING = 240  # places of the coarse look around which is looked finely
+PROMISING = 240  # places of a flight's coarse look around which is looked finely
 MIN_CELLS = 500  # of the part; fewer have no layers
 MOST_SORTED = 3000
-CANDIDATES, STARTS = 160, 240  # different places that are proposed, and that get a short ICP
-FEW = 200  # points of each cloud that tell how far they agree at a peak
+CANDIDATES, STARTS = 160, 500  # different places that are proposed, and that get a short ICP
 PASS = 2 / 3  # of the frequencies are kept: the softened occupancy has no more
 
 
@@ -275,23 +274,25 @@ def _promising(ladder: Ladder, looks: list[Look]):
                     rows += [(f, a, b, n, y, v, (v - median) / spread) for y, v in zip(every, values, strict=True)]
     norms = {key: (ratio * median, ratio * spread) for key, (median, spread) in norms.items()}
     table = np.array(rows).reshape(-1, 7)
-    order = _interleaved(table[:, 5], table[:, 6])[:PROMISING]
     work: dict = {}
-    for f, a, b, n, y in table[order, :5].astype(int):
-        for m in range(2 * n, min(2 * n + 2, len(looks[f].scales))):
-            work.setdefault((f, a, b, m), set()).update(((2 * y - 1) % FINE.yaws, 2 * y, (2 * y + 1) % FINE.yaws))
+    for f in range(len(looks)):
+        of_look = table[table[:, 0] == f]
+        best = _interleaved(of_look[:, 5], of_look[:, 6])[:PROMISING]
+        for _, a, b, n, y in of_look[best, :5].astype(int):
+            for m in range(2 * n, min(2 * n + 2, len(looks[f].scales))):
+                work.setdefault((f, a, b, m), set()).update(((2 * y - 1) % FINE.yaws, 2 * y, (2 * y + 1) % FINE.yaws))
     return {key: np.array(sorted(yaws)) for key, yaws in work.items()}, norms
 
 
 def finalists(ladder: Ladder, scales: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Return the best different transforms (F, 4, 4), best first; those ``known`` (K, 4, 4) take part.
 
-    Three kinds of peaks start: those that correlate best, those that stand out most at their scale, and those under
-    which the clouds agree best as they are.
+    Of either flight those start that correlate best and those that stand out most at their scale.
     """
     values, robust, transforms = correlate(ladder, scales)
-    agreement = ladder.scores(transforms, FEW)
-    order = _interleaved(values, robust, agreement)[:MOST_SORTED]
+    backs = ladder.backs(transforms)
+    keys = [np.where(backs == back, key, -np.inf) for back in np.unique(backs) for key in (values, robust)]
+    order = _interleaved(*keys or [values])[:MOST_SORTED]
     starts = transforms[ladder.distinct(transforms, order, STARTS, distance=3.0)]
     return ladder.best(np.concatenate([known, starts]), estimate_scale=len(scales) > 1)
 
