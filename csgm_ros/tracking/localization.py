@@ -16,12 +16,15 @@ from csgm_ros.tracking import surface
 from csgm_ros.tracking.alignment import align, align_each
 from csgm_ros.tracking.evidence import Evidence, meet, weigh
 from csgm_ros.tracking.maps import PreparedMap
-from csgm_ros.tracking.scale import APART, vertex
+from csgm_ros.tracking.scale import STEPS, vertex
 from csgm_ros.tracking.surface import Surface
 from csgm_ros.tracking.views import View
 
 LEVELS = (1.5, 3.0, 6.0, 12.0)  # edges of a submap's voxels, frame voxels
 SCALES = (0.85, 0.92, 1.08, 1.17)  # tried around the scale of a hypothesis
+APART = np.array((-0.06, 0.0, 0.06))  # logarithms of those that a parabola is laid through
+CLEARLY = 1.03  # times as good must a scale far off be
+ROUNDS, SETTLED = 3, 0.01  # of settling the scale at most; logarithm below which it is settled
 VIEWS = 6
 FEW, MANY = 1200, 4000
 GLANCE, LIKELY = 300, 0.4  # points at a glance; share of the hypotheses that get a second one
@@ -163,13 +166,45 @@ class Localizer:
     def _between_scales(self, place: Place) -> Place:
         """Return the place at the scale at which a parabola through its scores is highest: noise hides the best."""
         center = self._own[0].mean(0)
-        steps = (-APART, 0.0, APART)
-        found = [self._at_scale(place, step, center) for step in steps]
-        growth = vertex([each.score for each in found])
+        found = [self._at_scale(place, step, center) for step in APART]
+        growth = vertex(APART, np.array([each.score for each in found]))
         return place if growth is None else self._at_scale(place, growth, center)
 
     def _at_scale(self, place: Place, growth: float, center: np.ndarray) -> Place:
         return self.weighed(self.refined(place.matrix @ scaling(np.exp(growth), center), FEW, coarse=True))
+
+    def settled(self, matrix: np.ndarray) -> np.ndarray:
+        """Return a pose (4, 4) half-way to the scale at which the submap and the map lie best on each other.
+
+        The other half is trusted to what found it: neither errs as the other does.
+        Each is scored on the other: points scattered about a surface fit what is larger better, whichever of the two
+        they belong to, so that the two scores err in opposite directions.
+        """
+        center, found = self._submap.points.mean(axis=0), matrix
+        wide = self._both_ways(matrix, 2.0 * STEPS, center)
+        if wide.max() > CLEARLY * wide[len(STEPS) // 2]:
+            matrix = matrix @ scaling(np.exp(2.0 * STEPS[np.argmax(wide)]), center)
+        for _ in range(ROUNDS):
+            growth = vertex(STEPS, self._both_ways(matrix, STEPS, center))
+            if growth is None:
+                break
+            matrix = matrix @ scaling(np.exp(growth), center)
+            if abs(growth) < SETTLED:
+                break
+        return self.refined(found @ scaling(np.sqrt(scale_of(matrix) / scale_of(found)), center), MANY)
+
+    def _both_ways(self, matrix: np.ndarray, steps: np.ndarray, center: np.ndarray) -> np.ndarray:
+        """Return the score (S,) of a pose after each of (S,) growths."""
+        submap = self._submap
+        near = self._map.near(submap.voxel * scale_of(matrix))
+        scores = np.empty(len(steps))
+        for k, step in enumerate(steps):
+            start = np.linalg.inv(matrix @ scaling(np.exp(step), center))
+            for own in submap.levels[2:0:-1]:
+                fit = align(self._points, self._normals, own, start, (own.voxel,), iterations=10, min_cosine=0.5)
+                start = fit.matrix
+            scores[k] = np.sqrt(fit.score * meet(submap.points, submap.normals, near, np.linalg.inv(start))[0])
+        return scores
 
     def refined(self, matrix: np.ndarray, count: int, *, coarse: bool = False) -> np.ndarray:
         """Lay the map on the submap, the scale kept; return the pose of the submap in the map."""

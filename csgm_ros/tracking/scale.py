@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 FIRST = 0.03  # sigma of a scale that was just found, relative
-MEASURED = 0.03  # sigma of what one frame says, with what it has in common with the frames before
-LEAST = 0.005  # sigma below which nothing is believed: the map is not quite a similarity of the scene
-LARGEST_STEP = 0.003  # of the scale at a time
-APART = 0.06  # logarithms of the scales that are compared
-HELD = 0.05  # share of its score that the middle scale must lose on both sides together, for the scale to be seen
+LOOK = 20.0  # what one look counts, with all that it has in common with the looks before
+HELD = 0.01  # share of the best score that the outermost scales must lose, for the scale to be seen
+LEAST = 0.004  # sigma below which nothing is believed: the map is not quite a similarity of the scene
+LARGEST_STEP = 0.005  # of the scale that is given out, at a time
+STEPS = 0.04 * np.arange(-2, 3)  # logarithms of the scales that are compared
 
 
 @dataclass(frozen=True)
@@ -22,13 +21,16 @@ class Scale:
     Attributes
     ----------
     value : float
-        NaN while unknown.
+        What is given out, NaN while unknown.
     sigma : float
         Relative standard deviation, NaN while unknown.
+    ahead : float
+        By how much what is believed lies ahead of what is given out, in its logarithm.
     """
 
     value: float = np.nan
     sigma: float = np.nan
+    ahead: float = 0.0
 
     @classmethod
     def found(cls, value: float) -> Scale:
@@ -42,27 +44,32 @@ class Scale:
 
     @property
     def unconfirmed(self) -> bool:
-        """Whether it was found and no frame has corrected it since."""
+        """Whether it was found and no look has told of it since."""
         return self.sigma >= FIRST
 
-    def corrected(self, error: float, *, smoothly: bool = True) -> Scale:
-        """Return the scale after a frame that says the logarithm is off by ``error``: a Kalman filter's step.
+    def corrected(self, scores: np.ndarray, *, smoothly: bool = True) -> Scale:
+        """Return the scale after a look that scored ``value`` times the exponentials of :data:`STEPS`, (5,).
 
-        A short one where it is to go ``smoothly``, as poses are given out.
+        A parabola through the scores counts as log-likelihood: looks that say little, as those on a single wall,
+        change little, and none where there is no peak. Where poses are given out the value follows ``smoothly``, in
+        short steps, and loses nothing of what is believed.
         """
-        gain = self.sigma**2 / (self.sigma**2 + MEASURED**2)
+        error, ahead, before, told = vertex(STEPS, scores), self.ahead, self.sigma**-2.0, 0.0
+        if error is not None:
+            told = -2.0 * LOOK * np.polyfit(STEPS, scores / np.max(scores), 2)[0]
+            ahead += told / (before + told) * (error - ahead)
         most = LARGEST_STEP if smoothly else np.inf
-        step = float(np.clip(gain * error, -most, most))
-        return Scale(self.value * np.exp(step), max(self.sigma * np.sqrt(1.0 - gain), LEAST))
+        step = float(np.clip(ahead, -most, most))
+        sigma = max((before + told) ** -0.5, LEAST) if told else self.sigma
+        return Scale(self.value * np.exp(step), sigma, ahead - step)
 
 
-def vertex(scores: Sequence[float]) -> float | None:
-    """Return where a parabola through the scores at logarithms ``-APART``, 0 and ``APART`` is highest.
+def vertex(steps: np.ndarray, scores: np.ndarray) -> float | None:
+    """Return where a parabola through (S,) scores at (S,) logarithms, even about 0, is highest, within them.
 
-    No further out than ``APART``; None where the scores say nothing of the scale, as of a single wall.
+    None where the scores say nothing of the scale, as of a single wall.
     """
-    low, middle, high = scores
-    bend = low - 2.0 * middle + high
-    if -bend <= HELD * middle:  # also where nothing fits
+    bend, slope, _ = np.polyfit(steps, scores, 2)
+    if -bend * steps[-1] ** 2 <= HELD * np.max(scores):  # also where nothing fits
         return None
-    return float(np.clip(0.5 * (low - high) / bend, -1.0, 1.0)) * APART
+    return float(np.clip(-0.5 * slope / bend, steps[0], steps[-1]))

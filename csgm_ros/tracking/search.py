@@ -122,7 +122,7 @@ def search(
     if query.candidates is not None and query.fresh is not None:
         found = look_again(query.candidates, Localizer(query.fresh, prepared, rng))
         if found.matrix is not None or found.candidates is not None:
-            return found
+            return found if known else settled(found, localizer)
     if not query.wide:
         return Found(None, 'not near where it was expected')
     look()
@@ -134,7 +134,13 @@ def search(
         here = [place.matrix for place in places]  # with scales that were refined, as those of twins are not
         twins = [twin for twin in twins if not any(localizer.alike(twin.matrix, matrix) for matrix in here)]
         places = localizer.distinct(places + twins)
-    return judged(places, part, localizer, query)
+    found = judged(places, part, localizer, query)
+    return found if known else settled(found, localizer)
+
+
+def settled(found: Found, localizer: Localizer) -> Found:
+    """Return what was found among all scales at the scale that all that was seen agrees on."""
+    return found if found.matrix is None else found._replace(matrix=localizer.settled(found.matrix))
 
 
 def _anywhere(

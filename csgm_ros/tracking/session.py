@@ -18,7 +18,7 @@ from csgm_ros.tracking.frames import Frame
 from csgm_ros.tracking.localization import scale_of, scaling
 from csgm_ros.tracking.maps import PreparedMap
 from csgm_ros.tracking.odometry import Odometry
-from csgm_ros.tracking.scale import APART, Scale, vertex
+from csgm_ros.tracking.scale import STEPS, Scale
 from csgm_ros.tracking.search import Candidates, Found, Query, expected, search
 from csgm_ros.tracking.views import seen
 from csgm_ros.types import Estimate, Prior
@@ -26,8 +26,10 @@ from csgm_ros.types import Estimate, Prior
 LOST, LOCALIZING, TRACKING = 'lost', 'localizing', 'tracking'
 MIN_POINTS = 200
 SAMPLES = 2500
-SCALE_EVERY, SCALE_SAMPLES, SCALE_FRAMES = 5, 1200, 4  # frames between corrections; points of the map, frames asked
+SCALE_EVERY, SCALE_SAMPLES, SCALE_FRAMES = 5, 1500, 4  # frames between corrections; points of the map, frames asked
+SEEN = 0.8  # of the share on the map of frames that are tracked: beside the map a larger one fits better
 GAIN = 0.5  # of a correction of the map's place relative to the odometry
+WORSE = 2.5  # times as much may disagree in a single frame as in all that were searched for
 SIMILAR = 0.6  # of what was tracked: closeness at which a place is as good
 REACHES = 1.5, np.inf  # of the searches, one after the other: what one does not find, the next may
 FRESH = 0.4  # of the first seconds: new frames that are worth another look
@@ -208,11 +210,14 @@ class Session:
             self._state, self._reason = TRACKING, f'{self._confirmed} frames in a row agree with the map'
         return evidence
 
-    def _enough(self) -> tuple[float, float]:
-        """Return what a place must reach that is as good as those tracked: closeness, agreement."""
+    def _enough(self, worse: float = 2.0) -> tuple[float, float]:
+        """Return what a place must reach that is as good as those tracked: closeness, agreement.
+
+        What disagrees may be ``worse`` times as much.
+        """
         if not self._typical.any():
             return np.inf, np.inf
-        return SIMILAR * self._typical[0], 1.0 - 2.0 * (1.0 - self._typical[2])
+        return SIMILAR * self._typical[0], 1.0 - worse * (1.0 - self._typical[2])
 
     def _evidence(self, frame: Frame, matrix: np.ndarray) -> Evidence:
         """Weigh the place by a frame that was seen from ``matrix`` (4, 4) in the odometry's frame."""
@@ -220,7 +225,7 @@ class Session:
 
     def _confirms(self, evidence: Evidence) -> bool:
         """Return whether a frame supports the place: as those tracked did, where no pose is given out yet."""
-        least = self._enough()
+        least = self._enough(WORSE)
         asked_less = self._state == TRACKING or not np.isfinite(least[0])
         return self._good(evidence) and (asked_less or evidence.reaches(least))
 
@@ -241,9 +246,9 @@ class Session:
         self._place = _between(self._place, np.linalg.inv(fit.matrix), gain)
         self._covariance = self._covariance_of(fit)
         self._since_scaled += 1
-        if self._state != TRACKING or self._since_scaled >= SCALE_EVERY:
+        if self._since_scaled >= SCALE_EVERY and len(visible) >= SCALE_SAMPLES:
             self._since_scaled = 0
-            self._correct_scale(chosen[:SCALE_SAMPLES], matrix[:3, 3])
+            self._correct_scale(chosen[:SCALE_SAMPLES])
 
     def _laid(self, chosen: np.ndarray, start: np.ndarray) -> Fit:
         """Lay chosen points of the map on what was seen lately, the scale kept."""
@@ -253,27 +258,29 @@ class Session:
             start = fit.matrix
         return fit
 
-    def _correct_scale(self, chosen: np.ndarray, sensor: np.ndarray) -> None:
-        """Lay the map on what was seen at three scales about the sensor's place; that place stays where it is.
+    def _correct_scale(self, chosen: np.ndarray) -> None:
+        """Lay the map on what was seen at several scales about what is in view, which stays where it is.
 
-        Each cloud is scored on the other: points scattered about a surface fit what is nearer better, whichever cloud
-        they belong to, so that the two scores err in opposite directions.
+        Each cloud is scored on the other: points scattered about a surface fit what is larger or nearer better,
+        whichever cloud they belong to, so that the two scores err in opposite directions.
         """
+        points, normals = self._level.points[chosen], self._level.normals[chosen]
         inverse, lately = np.linalg.inv(self._place), self._recent[::-SCALE_EVERY][:SCALE_FRAMES]
-        ours, theirs = [], []
-        for step in (-APART, 0.0, APART):
-            fit = self._laid(chosen, scaling(np.exp(step), sensor) @ inverse)
-            theirs.append(fit.score)
-            place = np.linalg.inv(fit.matrix)
-            ours.append(
-                sum(meet(*frame.sample(1000), self._level.near, place @ matrix)[0] for _, frame, matrix in lately)
-            )
-        growths = vertex(ours), vertex(theirs)
-        if growths[0] is not None and growths[1] is not None:
-            error = -0.5 * (growths[0] + growths[1])  # a map, in metres, that is too small: fewer units make a metre
-            corrected = self._scale.corrected(error, smoothly=self._state == TRACKING)
-            self._place = self._place @ scaling(corrected.value / scale_of(self._place), sensor)
-            self._scale = corrected
+        center = localization.moved(inverse, points).mean(axis=0)
+        samples = [(*frame.sample(SCALE_SAMPLES // SCALE_FRAMES), matrix) for _, frame, matrix in lately]
+        ours, theirs, shares = np.zeros((3, len(STEPS)))
+        for k, step in enumerate(STEPS):
+            start = scaling(np.exp(step), center) @ inverse
+            for surface in self._odometry.model[:2]:
+                fit = align(points, normals, surface, start, (surface.voxel,), iterations=10, min_cosine=0.5)
+                start = fit.matrix
+            place, theirs[k] = np.linalg.inv(start), fit.score
+            met = [meet(own, turned, self._level.near, place @ matrix) for own, turned, matrix in samples]
+            ours[k], shares[k] = np.mean(met, axis=0)
+        scores = np.sqrt(ours * theirs)
+        if scores.any() and shares[len(STEPS) // 2] >= SEEN * self._typical[1]:
+            self._scale = self._scale.corrected(scores[::-1], smoothly=self._state == TRACKING)
+            self._place = self._place @ scaling(self._scale.value / scale_of(self._place), center)
 
     def _covariance_of(self, fit: Fit) -> np.ndarray:
         """Return the covariance of the sensor's pose in the metric map."""
@@ -372,6 +379,7 @@ class Session:
                 self._confirmed += stamp > job.stamp and self._confirms(self._evidence(frame, matrix))
             return
         for _, frame, matrix in self._recent[::-SCALE_EVERY]:  # so that the first pose has a scale that many agree on
+            self._since_scaled = SCALE_EVERY
             self._refine(frame, matrix)
 
     def _learn(self, matrix: np.ndarray, evidence: Evidence | None, sensor: np.ndarray) -> None:
