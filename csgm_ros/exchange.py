@@ -1,7 +1,7 @@
 """One order for both: whichever cloud is called the source, the same is searched, so that the answer is the inverse.
 
-Lengths of the search come from its source, which is found in its target: a part is found in the whole better than the
-whole on a part. What shows more is the target therefore, and everything is told again in the order that was asked for.
+Much of the search draws its samples and lengths from its source first. What shows more of a place is the target
+therefore, whatever it was called, and everything is told again in the order that was asked for.
 """
 
 from __future__ import annotations
