@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -76,6 +77,16 @@ def align(
     information, pivot = np.zeros((6, 6)), np.zeros(3)
     score, inliers, rms = _align(points, normals, grid, matrix, widths, iterations, min_cosine, information, pivot)
     return Fit(matrix, score, inliers, rms, information, pivot)
+
+
+def align_through(
+    points: np.ndarray, normals: np.ndarray, grids: Iterable[Surface], start: np.ndarray, *, iterations: int
+) -> Fit:
+    """Run :func:`align` on one surface after the other, from a coarse one to a fine one, each as far as its voxel."""
+    for grid in grids:
+        fit = align(points, normals, grid, start, (grid.voxel,), iterations=iterations, min_cosine=0.5)
+        start = fit.matrix
+    return fit
 
 
 def align_each(

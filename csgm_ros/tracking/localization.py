@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from csgm_ros.tracking import surface
-from csgm_ros.tracking.alignment import align, align_each
+from csgm_ros.tracking.alignment import align_each, align_through
 from csgm_ros.tracking.evidence import Evidence, meet, weigh
 from csgm_ros.tracking.maps import PreparedMap
 from csgm_ros.tracking.scale import STEPS, vertex
@@ -200,20 +200,16 @@ class Localizer:
         scores = np.empty(len(steps))
         for k, step in enumerate(steps):
             start = np.linalg.inv(matrix @ scaling(np.exp(step), center))
-            for own in submap.levels[2:0:-1]:
-                fit = align(self._points, self._normals, own, start, (own.voxel,), iterations=10, min_cosine=0.5)
-                start = fit.matrix
-            scores[k] = np.sqrt(fit.score * meet(submap.points, submap.normals, near, np.linalg.inv(start))[0])
+            fit = align_through(self._points, self._normals, submap.levels[2:0:-1], start, iterations=10)
+            scores[k] = np.sqrt(fit.score * meet(submap.points, submap.normals, near, np.linalg.inv(fit.matrix))[0])
         return scores
 
     def refined(self, matrix: np.ndarray, count: int, *, coarse: bool = False) -> np.ndarray:
         """Lay the map on the submap, the scale kept; return the pose of the submap in the map."""
         start = np.linalg.inv(matrix)
         points, normals = self._points[:count], self._normals[:count]
-        for level in (3, 2, 1) if coarse else (2, 1, 0):
-            own = self._submap.levels[level]
-            start = align(points, normals, own, start, (own.voxel,), iterations=8, min_cosine=0.5).matrix
-        return np.linalg.inv(start)
+        levels = [self._submap.levels[level] for level in ((3, 2, 1) if coarse else (2, 1, 0))]
+        return np.linalg.inv(align_through(points, normals, levels, start, iterations=8).matrix)
 
     def weighed(self, matrix: np.ndarray) -> Place:
         """Return a place with what speaks for it."""

@@ -12,7 +12,7 @@ import numpy as np
 from csgm_ros.config import Config, profile
 from csgm_ros.errors import CsgmError, InputError
 from csgm_ros.tracking import frames, localization, maps
-from csgm_ros.tracking.alignment import Fit, align
+from csgm_ros.tracking.alignment import Fit, align_through
 from csgm_ros.tracking.evidence import Evidence, meet, weigh
 from csgm_ros.tracking.frames import Frame
 from csgm_ros.tracking.localization import scale_of, scaling
@@ -253,10 +253,7 @@ class Session:
     def _laid(self, chosen: np.ndarray, start: np.ndarray) -> Fit:
         """Lay chosen points of the map on what was seen lately, the scale kept."""
         points, normals = self._level.points[chosen], self._level.normals[chosen]
-        for surface in self._odometry.model[1:]:
-            fit = align(points, normals, surface, start, (surface.voxel,), iterations=5, min_cosine=0.5)
-            start = fit.matrix
-        return fit
+        return align_through(points, normals, self._odometry.model[1:], start, iterations=5)
 
     def _correct_scale(self, chosen: np.ndarray) -> None:
         """Lay the map on what was seen at several scales about what is in view, which stays where it is.
@@ -271,10 +268,8 @@ class Session:
         ours, theirs, shares = np.zeros((3, len(STEPS)))
         for k, step in enumerate(STEPS):
             start = scaling(np.exp(step), center) @ inverse
-            for surface in self._odometry.model[:2]:
-                fit = align(points, normals, surface, start, (surface.voxel,), iterations=10, min_cosine=0.5)
-                start = fit.matrix
-            place, theirs[k] = np.linalg.inv(start), fit.score
+            fit = align_through(points, normals, self._odometry.model[:2], start, iterations=10)
+            place, theirs[k] = np.linalg.inv(fit.matrix), fit.score
             met = [meet(own, turned, self._level.near, place @ matrix) for own, turned, matrix in samples]
             ours[k], shares[k] = np.mean(met, axis=0)
         scores = np.sqrt(ours * theirs)

@@ -66,10 +66,10 @@ class Flight:
     def score(self, transform: np.ndarray, most: int | None = None) -> float:
         """Return how far the clouds agree under a (4, 4) transform, as ``most`` points of each tell.
 
-        See :class:`csgm_ros.cloud.agreement.Comparison`.
+        See :class:`csgm_ros.cloud.agreement.Comparison`; the scale is a :func:`comparable` one.
         """
         scale = scale_of(transform)
-        comparison = self.comparison(scale) if comparable(scale) else None
+        comparison = self.comparison(scale)
         if comparison is None:
             return 0.0
         agreement = comparison.agreement(np.diag([*3 * [RUNG ** -_number(scale)], 1.0]) @ transform, most)

@@ -285,23 +285,21 @@ def _promising(ladder: Ladder, looks: list[Look]):
 
 
 def finalists(ladder: Ladder, scales: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return the best different transforms (F, 4, 4), best first; those ``known`` (K, 4, 4) take part.
+    """Return the best different transforms (F, 4, 4), best first; those ``known`` (K, 4, 4) take part."""
+    starts = np.concatenate([known, candidates(ladder, scales, STARTS)])
+    return ladder.best(starts, estimate_scale=len(scales) > 1)
 
-    Of either flight those start that correlate best and those that stand out most at their scale.
+
+def candidates(ladder: Ladder, scales: np.ndarray, count: int = CANDIDATES) -> np.ndarray:
+    """Return different transforms (P, 4, 4), as they are, likely ones first.
+
+    Of either flight those come first that correlate best and those that stand out most at their scale.
     """
     values, robust, transforms = correlate(ladder, scales)
     backs = ladder.backs(transforms)
     keys = [np.where(backs == back, key, -np.inf) for back in np.unique(backs) for key in (values, robust)]
     order = _interleaved(*keys or [values])[:MOST_SORTED]
-    starts = transforms[ladder.distinct(transforms, order, STARTS, distance=3.0)]
-    return ladder.best(np.concatenate([known, starts]), estimate_scale=len(scales) > 1)
-
-
-def candidates(ladder: Ladder, scales: np.ndarray) -> np.ndarray:
-    """Return the different transforms (P, 4, 4) that correlate best, as they are, best first."""
-    values, robust, transforms = correlate(ladder, scales)
-    order = _interleaved(values, robust)[:MOST_SORTED]
-    return transforms[ladder.distinct(transforms, order, CANDIDATES, distance=3.0)]
+    return transforms[ladder.distinct(transforms, order, count, distance=3.0)]
 
 
 def scales_between(low: float, high: float) -> np.ndarray:
