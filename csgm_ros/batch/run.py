@@ -85,8 +85,13 @@ def run(
 
         submit()
         while going:
-            with asking(client):  # those done since the last look share one wait for the disk
-                rows = [_row(future, going.pop(future.key)) for future in next(batches)]
+            rows = []  # those done since the last look share one wait for the disk
+            with asking(client):
+                for future in next(batches):
+                    if future.status == 'lost':  # done, and gone with its worker before it was fetched: it runs again
+                        queue.add(future)
+                    else:
+                        rows.append(_row(future, going.pop(future.key)))
             results.append(*rows)
             for row in rows:
                 counts['failed' if row['failed'] else 'accepted' if row['accepted'] else 'rejected'] += 1
@@ -117,7 +122,7 @@ def _row(future, pair: Pair) -> dict:
     """Return what a worker sent, or a row that says why it sent none."""
     from distributed import KilledWorker
 
-    if future.status in ('cancelled', 'lost'):
+    if future.status == 'cancelled':
         raise InputError(LOST)
     error = future.exception()
     if error is None:

@@ -122,6 +122,42 @@ def test_rows_are_the_bits_of_plain_calls_and_bad_pairs_stop_nothing(scans, clie
         assert row['margin'] == expected.verdict.margin
 
 
+class Brief(WorkerPlugin):
+    """Kills its worker as soon as that has done its second pair, once."""
+
+    def __init__(self, mark):
+        self.mark = mark
+
+    def setup(self, worker):
+        self.done, self.loop = 0, worker.loop
+
+    def transition(self, key, start, finish, **_):
+        self.done += finish == 'memory'
+        if self.done == 2 and not self.mark.exists():
+            self.loop.call_later(0.3, self.end)  # the client has heard by then
+
+    def end(self):
+        self.mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+class Slow(Results):
+    """A disk that has taken the first row only when the worker is dead."""
+
+    def append(self, *rows):
+        super().append(*rows)
+        wait_for((self.folder / 'dead').exists)
+        time.sleep(0.3)
+
+
+def test_a_row_that_dies_with_its_worker_before_it_is_fetched_is_made_again(table, tmp_path):
+    pairs = from_table(table, replaced(profile(), QUICK))[:2]
+    with cluster(None, 1, threads=1) as (client, _), Slow(tmp_path) as results:
+        client.register_plugin(Brief(results.folder / 'dead'))
+        assert run(pairs, results, client)['failed'] == 2
+    assert [row['id'] for row in read(tmp_path)] == ['first', 'second']
+
+
 def command(*arguments):
     settings = [word for name, value in QUICK.items() for word in ('--set', f'{name}={value}')]
     return [sys.executable, '-m', 'csgm_ros.cli.main', 'batch', *map(str, arguments), *settings]
