@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from csgm_ros.cloud.surface_variation import even, surface_variation
 from csgm_ros.config import Config
@@ -49,6 +50,20 @@ def _surface_variation(pair: NormalizedPair) -> float:
     return max(surface_variation(even(cloud, 1.0 / unit.scale)) for cloud, unit in sides)
 
 
-def best_of(results: Iterable[RegistrationResult]) -> RegistrationResult:
-    """Return the accepted result, else the one with the widest margin."""
-    return max(results, key=lambda result: (result.accepted, result.verdict.margin))
+class Ranked(NamedTuple):
+    """What an attempt found.
+
+    Attributes
+    ----------
+    result : RegistrationResult
+    likelihood : float
+        How far the clouds as they are agree there, at two lengths of their structure.
+    """
+
+    result: RegistrationResult
+    likelihood: float
+
+
+def best_of(found: Iterable[Ranked]) -> RegistrationResult:
+    """Return the accepted result, else the likeliest one."""
+    return max(found, key=lambda one: (one.result.accepted, one.likelihood)).result

@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 
-from csgm_ros.attempts import Attempt, best_of, schedule
+from csgm_ros.attempts import Attempt, Ranked, best_of, schedule
 from csgm_ros.cloud.prepare import finite_points, viewpoint
 from csgm_ros.cloud.smoothing import smoothed
 from csgm_ros.config import Config, profile, replaced
@@ -52,6 +52,7 @@ NAMES = ('source', 'target')
 GUIDED_WIDTH = 0.25  # seed spacings; with it, matched nodes are at most half of one apart
 LIKELY = 16  # transforms that are compared at two lengths: at one alone, chance decides between parts of a map
 AS_LIKELY = 0.4  # of the best one's evidence at the first length, below which the second does not help
+LEADING = 4  # transforms that lead in another order and are compared at the second length too
 MOST_SHOWN = 4  # hypotheses that people are shown: the answer and the best of what competed with it
 LEAST_EFFORT = {
     'supervoxels.voxel_size': 0.1,
@@ -130,7 +131,7 @@ def register(
     most, threads = config.preprocess.max_points, config.threads or os.cpu_count() or 1
     config = config if prior is None else narrowed(config, prior)
     viewpoints = viewpoint(source_viewpoint, NAMES[0]), viewpoint(target_viewpoint, NAMES[1])
-    results: dict[int, RegistrationResult] = {}
+    results: dict[int, Ranked] = {}
     clock.enter('scale normalization')
     with contextlib.suppress(TimeUp):
         first, second = (
@@ -152,7 +153,7 @@ def _attempts(
     seed: int,
     clock: Clock,
     details: bool,
-    results: dict[int, RegistrationResult],
+    results: dict[int, Ranked],
 ) -> None:
     """Run one attempt of the schedule after the other until one is accepted, and put their results, by smoothing."""
     pair = normalize(clouds, config, clock.check)  # step 1
@@ -168,15 +169,23 @@ def _attempts(
         clock.begin(number)
         try:
             rng = np.random.default_rng([seed, number] if number else seed)  # a stream of its own for each attempt
-            view, result = _attempt(pair, ladder, viewpoints, expected, attempt, views, config, rng, clock, details)
+            best, result = _attempt(pair, ladder, viewpoints, expected, attempt, views, config, rng, clock, details)
         except DegenerateCloudError:
             if not results:
                 raise
             continue  # smoothed, or at other lengths, a sparse cloud may have no structure left
-        views[attempt.smoothing] = view
-        results[attempt.smoothing] = result = _updated(results.get(attempt.smoothing), result)
+        result = _updated(results.get(attempt.smoothing), result)
+        results[attempt.smoothing] = Ranked(result, 0.0)
         if result.accepted or clock.expired:
             break
+        # on the clouds as they are: smoothed ones agree the better
+        results[attempt.smoothing] = Ranked(result, _likelihood(best, views[0], ladder))
+
+
+def _likelihood(transform: Similarity, view: View, ladder: Ladder) -> float:
+    """Return how far two clouds agree at two lengths of their structure; at one alone, parts of a map do by chance."""
+    at_first = float(ladder.scores([transform.matrix])[0])
+    return at_first * view.score(transform) if at_first else 0.0
 
 
 def _unfinished(config: Config) -> RegistrationResult:
@@ -195,10 +204,12 @@ def _attempt(
     rng: np.random.Generator,
     clock: Clock,
     details: bool,
-) -> tuple[View, RegistrationResult]:
-    """Steps 2 to 5 of Algorithm 1."""
+) -> tuple[Similarity, RegistrationResult]:
+    """Steps 2 to 5 of Algorithm 1; the transform is between the normalised clouds."""
     clock.enter('structure extraction')
-    view = views.get(attempt.smoothing) or _view(pair, viewpoints, attempt, config, rng, clock)
+    if attempt.smoothing not in views:
+        views[attempt.smoothing] = _view(pair, viewpoints, attempt, config, rng, clock)
+    view = views[attempt.smoothing]
     clock.check()
     source, target = _structures(view.pair, attempt, config, rng, clock)  # step 2
     graphs = build(source, config.graph), build(target, config.graph)  # step 3
@@ -214,7 +225,7 @@ def _attempt(
     result = _result(best, verdict, matched, view.pair, config)
     if details:
         result = dataclasses.replace(result, details=_details(best, structures, matched, view, config))
-    return view, exchanged(result) if view.pair.exchanged else result
+    return best, exchanged(result) if view.pair.exchanged else result
 
 
 def _view(
@@ -375,7 +386,7 @@ def _best(structures: StructurePair, view: View, config: Config, clock: Clock) -
         return last if last.score > best.score and _allowed(last.transform, structures) else best
     score = cache(lambda evidence: view.score(evidence.transform))
     ranks = ladder.scores([evidence.transform.matrix for evidence in allowed])
-    likely = np.argsort(-ranks, kind='stable')[: min(LIKELY, (ranks >= AS_LIKELY * ranks.max()).sum())]
+    likely = _likely(allowed, ranks, ladder)
     place = allowed[max(likely, key=lambda number: ranks[number] * score(allowed[number]))].transform.matrix
 
     def fits(one: Evidence) -> bool:
@@ -384,6 +395,19 @@ def _best(structures: StructurePair, view: View, config: Config, clock: Clock) -
     best = max(filter(fits, allowed), key=score)
     # the correspondence distances of the last ICP may be too wide for what the clouds show
     return max([best, *filter(fits, _settled(best, view, config, clock))], key=score)
+
+
+def _likely(measured: list[Evidence], ranks: np.ndarray, ladder: Ladder) -> np.ndarray:
+    """Return which transforms are compared at a second length.
+
+    The best at the first one, the best as shares of the clouds, which know nothing of that length, and the best of
+    every search, as each ranks them in its own way.
+    """
+    first = np.argsort(-ranks, kind='stable')[: min(LIKELY, (ranks >= AS_LIKELY * ranks.max()).sum())]
+    second = np.argsort([-evidence.score for evidence in measured], kind='stable')[:LEADING]
+    leading = [place for found in ladder.finalists.values() for place in found[:LEADING]]
+    third = [n for n, one in enumerate(measured) if any(ladder.alike(place, one.transform.matrix) for place in leading)]
+    return np.unique(np.concatenate([first, second, third]).astype(int))
 
 
 def _settled(best: Evidence, view: View, config: Config, clock: Clock) -> list[Evidence]:
@@ -506,11 +530,11 @@ def _result(
     return RegistrationResult(own, verdict, {}, 0, config, first, second, *matches)
 
 
-def _updated(earlier: RegistrationResult | None, result: RegistrationResult) -> RegistrationResult:
+def _updated(earlier: Ranked | None, result: RegistrationResult) -> RegistrationResult:
     """Keep the graphs and matches of the attempt that found the transform."""
-    if earlier is None or not np.array_equal(earlier.T_target_source, result.T_target_source):
+    if earlier is None or not np.array_equal(earlier.result.T_target_source, result.T_target_source):
         return result
-    return dataclasses.replace(earlier, verdict=result.verdict)
+    return dataclasses.replace(earlier.result, verdict=result.verdict)
 
 
 def warm_up() -> None:

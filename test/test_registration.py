@@ -13,7 +13,7 @@ import pytest
 from scenes import ball, box, cylinder, error, radius, random_rotation, random_similarity, rectangle, room
 
 from csgm_ros import profile, register
-from csgm_ros.attempts import Attempt, best_of
+from csgm_ros.attempts import Attempt, Ranked, best_of
 from csgm_ros.config import replaced
 from csgm_ros.errors import Cancelled, DegenerateCloudError, InputError
 from csgm_ros.io.cloud_file import CloudFile
@@ -97,14 +97,12 @@ def test_other_lengths_are_tried_while_nothing_is_accepted():
     assert error(doubted.transform, certain.transform, SOURCE) < RIGHT
 
 
-def test_the_accepted_result_is_the_best_then_the_widest_margin():
+def test_the_accepted_result_is_the_best_then_the_likeliest():
     one = registered()
-    rejected, wide = (
-        dataclasses.replace(one, verdict=dataclasses.replace(one.verdict, accepted=False, margin=margin))
-        for margin in (2.0, 9.0)
-    )
-    assert best_of([wide, one, rejected]) is one
-    assert best_of([rejected, wide]) is wide
+    rejected = dataclasses.replace(one, verdict=dataclasses.replace(one.verdict, accepted=False))
+    likely = dataclasses.replace(rejected)
+    assert best_of([Ranked(likely, 9.0), Ranked(one, 0.0), Ranked(rejected, 2.0)]) is one
+    assert best_of([Ranked(rejected, 2.0), Ranked(likely, 9.0)]) is likely
 
 
 def test_the_result_tells_what_it_found():
