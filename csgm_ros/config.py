@@ -28,6 +28,7 @@ DESCRIPTORS = {
 HYPOTHESIS_SOURCES = {
     'graph': 'csgm_ros.transform.graph_source:propose',
     'local': 'csgm_ros.transform.local_source:propose',
+    'parts': 'csgm_ros.transform.parts:propose',
     'planes': 'csgm_ros.transform.planes:propose',
     'prior': 'csgm_ros.transform.prior_source:propose',
     'volumes': 'csgm_ros.transform.volumes:propose',
@@ -187,11 +188,12 @@ class HypothesesConfig(Checked):
         choices=('search', 'ransac'),
     )
     sources: tuple[str, ...] = param(
-        ('graph', 'local', 'planes', 'volumes'),
+        ('graph', 'local', 'planes', 'volumes', 'parts'),
         'where the search gets its hypotheses, one source after the other while nothing is certain; graph: triples of '
         'matched nodes and of their next-best correspondences; local: triples of keypoints with similar FPFH; planes: '
         'dominant planes on each other, then yaw, place and scale by correlation of layered occupancy; volumes: '
         'directions of planes on each other, then turn and place by correlation of volumes, where the scale is given; '
+        'parts: as planes, those of the smaller cloud on any of the larger one; '
         'prior: near what is expected, always asked where there is a prior',
         choices=tuple(HYPOTHESIS_SOURCES),
     )

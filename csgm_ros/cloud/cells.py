@@ -17,6 +17,7 @@ BLOCK = 4  # cells; a block of so many on a side ...
 MIN_IN_BLOCK = 4  # ... with fewer occupied ones holds strays
 NORMAL_VOXEL = 2.0  # cells: normals are those of voxels with their neighbours' neighbours, so within 5 cells
 TOLERANCE = 0.05  # of the number of cells
+FACES, FACE_SHARE = 8, 0.01  # planes at most, and the share of the cells that each has at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,21 +30,33 @@ class Cells:
         Mean point of each.
     size : float
         Edge of a cell.
+    filling : float
+        Points of the cloud in each, strays among them, on average.
     """
 
     points: np.ndarray
     size: float
+    filling: float
 
     @cached_property
     def normals(self) -> np.ndarray:
         """Unsigned unit normals (n, 3); zeros where the neighbourhood is a line."""
-        grid = voxelize(self.points, NORMAL_VOXEL * self.size)
+        return self.voxel_normals(NORMAL_VOXEL)
+
+    def voxel_normals(self, edge: float) -> np.ndarray:
+        """Return unsigned unit normals (n, 3) of voxels of some cells with their neighbours' neighbours."""
+        grid = voxelize(self.points, edge * self.size)
         return plane_normals(grid, np.zeros(len(grid.keys), np.int64))[grid.point_voxels]
 
     @cached_property
     def planes(self) -> list[Plane]:
         """The dominant planes, largest first."""
         return dominant_planes(self.points, self.normals, self.size)
+
+    @cached_property
+    def faces(self) -> list[Plane]:
+        """The dominant planes and smaller ones, largest first: those that a part of the cloud may show."""
+        return dominant_planes(self.points, self.normals, self.size, FACES, FACE_SHARE)
 
     def near(self, *, fine: bool) -> NearestGrid:
         """Return the look-up table of the nearest cell, coarse and wide, or fine and narrow."""
@@ -66,7 +79,7 @@ def cells(points: np.ndarray, size: float, most: int, rng: np.random.Generator) 
         kept = means
     if len(kept) > most:
         kept = kept[np.sort(rng.choice(len(kept), most, replace=False))]
-    return Cells(kept, size)
+    return Cells(kept, size, len(points) / len(means))
 
 
 def working_size(points: np.ndarray, count: int) -> float:

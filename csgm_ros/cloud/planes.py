@@ -38,8 +38,10 @@ def frame(normal: np.ndarray) -> np.ndarray:
     return np.stack([x, np.cross(normal, x), normal])
 
 
-def dominant_planes(points: np.ndarray, normals: np.ndarray, size: float) -> list[Plane]:
-    """Return at most ``MOST`` planes on which many of (n, 3) cells with edge ``size`` lie, largest first.
+def dominant_planes(
+    points: np.ndarray, normals: np.ndarray, size: float, most: int = MOST, share: float = MIN_SHARE
+) -> list[Plane]:
+    """Return at most ``most`` planes on which a share of (n, 3) cells with edge ``size`` lies, largest first.
 
     Every so-manieth cell proposes the plane through it; the one with the most cells is fitted to them, then its
     cells are left out. Nothing is drawn: the same cells have the same planes.
@@ -53,10 +55,10 @@ def dominant_planes(points: np.ndarray, normals: np.ndarray, size: float) -> lis
     on = _on_planes(points, normals, chosen, TOLERANCE * size)
     alive = np.ones(len(points), bool)
     planes: list[Plane] = []
-    while len(planes) < MOST:
+    while len(planes) < most:
         counts = (on & alive).sum(1)
         best = counts.argmax()
-        if counts[best] < MIN_SHARE * len(points):
+        if counts[best] < share * len(points):
             break
         plane = _fitted(points, normals, on[best] & alive, size)
         near = np.abs((points - plane.point) @ plane.normal) < 2 * TOLERANCE * size

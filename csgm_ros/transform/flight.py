@@ -7,6 +7,7 @@ of such cells, on the rung that fits the scale in question.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from csgm_ros.cloud.agreement import Comparison
 from csgm_ros.cloud.cells import Cells, cells, working_size
+from csgm_ros.cloud.prepare import normals_of
 from csgm_ros.cloud.witnesses import Witnesses, asked, robust_radius
 from csgm_ros.transform import batch_icp
 
@@ -21,12 +23,19 @@ WORKING = 4000  # cells of the part
 MOST = 40000  # cells of the whole, of 2 * WORKING of the part
 FINEST = 1e-5  # of the whole's extent: finer cells could not be numbered
 RUNG = 1.6  # between the edges of the whole's cells on two rungs
+NORMALS: tuple[Callable[[Cells], np.ndarray], ...] = (
+    lambda seen: seen.normals,
+    lambda seen: normals_of(seen.points, min(NEIGHBORS, len(seen.points))),
+    lambda seen: seen.voxel_normals(1.0),
+)
+"""Normals by which clouds are compared: wide ones survive the rings of lidars, narrow ones show the edges of things."""
 COMPARED = 2.0  # cells: at which length of structure the clouds are compared; photographs are bent at finer ones
 ASKED, MOST_ASKED = 1500, 6000  # cells
 NEIGHBORS = 12
 LEAST = 30  # cells with a normal, below which a cloud shows nothing
 COLLAPSED = 2.0  # change of the scale from which an ICP has shrunk the part onto a few points
 SCALES = 1e-3, 1e3  # between the normalised clouds, beyond which nothing is compared
+RESOLVED = 1.25  # points of the whole a cell, from which it shows surfaces; lidars have 1.5 where they see as much
 MIN_INLIERS = 20  # points that must agree, for shares to mean anything
 PROBES = 60
 ITERATIONS = 5  # of ICP, per gate
@@ -46,7 +55,8 @@ class Flight:
     def __init__(self, part: np.ndarray, whole: np.ndarray, seed: int):
         self._clouds, self._seed = (part, whole), seed
         self._rungs: dict[int, Cells] = {}
-        self._comparisons: dict[int, Comparison | None] = {}
+        self._comparisons: dict[tuple[int, int], Comparison | None] = {}
+        self._witnesses: dict[int, Witnesses | None] = {}
 
     @cached_property
     def part(self) -> Cells:
@@ -63,32 +73,35 @@ class Flight:
             self._rungs[number] = cells(whole, size, MOST, np.random.default_rng(self._seed))
         return self._rungs[number]
 
-    def score(self, transform: np.ndarray, most: int | None = None) -> float:
+    def resolved(self, scale: float) -> bool:
+        """Return whether the whole shows surfaces in cells about as large as the part's under a scale."""
+        return self.rung(scale).filling >= RESOLVED
+
+    def score(self, transform: np.ndarray, most: int | None = None, kind: int = 0) -> float:
         """Return how far the clouds agree under a (4, 4) transform, as ``most`` points of each tell.
 
-        See :class:`csgm_ros.cloud.agreement.Comparison`; the scale is a :func:`comparable` one.
+        See :class:`csgm_ros.cloud.agreement.Comparison`; the scale is a :func:`comparable` one, the kind of normals
+        one of ``NORMALS``.
         """
         scale = scale_of(transform)
-        comparison = self.comparison(scale)
+        comparison = self.comparison(scale, kind)
         if comparison is None:
             return 0.0
         agreement = comparison.agreement(np.diag([*3 * [RUNG ** -_number(scale)], 1.0]) @ transform, most)
         return agreement.evidence if most or agreement.inliers >= MIN_INLIERS else 0.0
 
-    def comparison(self, scale: float) -> Comparison | None:
+    def comparison(self, scale: float, kind: int = 0) -> Comparison | None:
         """Return the clouds on the rung of a scale, the whole shrunk to the part; None where one shows nothing."""
         number = _number(scale)
-        if number not in self._comparisons:
-            rung, part = self.rung(scale), self._witnesses
-            whole = self._asked(rung.points / RUNG**number, rung.normals)
-            self._comparisons[number] = Comparison(part, whole, part.cell) if part and whole else None
-        return self._comparisons[number]
+        if (number, kind) not in self._comparisons:
+            if kind not in self._witnesses:
+                self._witnesses[kind] = self._asked(self.part, 1.0, kind)
+            part, whole = self._witnesses[kind], self._asked(self.rung(scale), RUNG**number, kind)
+            self._comparisons[number, kind] = Comparison(part, whole, part.cell) if part and whole else None
+        return self._comparisons[number, kind]
 
-    @cached_property
-    def _witnesses(self) -> Witnesses | None:
-        return self._asked(self.part.points, self.part.normals)
-
-    def _asked(self, points: np.ndarray, normals: np.ndarray) -> Witnesses | None:
+    def _asked(self, seen: Cells, factor: float, kind: int) -> Witnesses | None:
+        points, normals = seen.points / factor, NORMALS[kind](seen)
         known = (normals != 0).any(1)
         if known.sum() < LEAST:
             return None

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from csgm_ros.progress import Look, unhurried
-from csgm_ros.transform.flight import Flight, comparable, scale_of
+from csgm_ros.transform.flight import NORMALS, Flight, comparable, scale_of
 
 SAME = 2.0  # cells of mean displacement up to which two transforms are one
 APART = 6.0  # nearer to a better one, a finalist is the same but for bent clouds and noise
@@ -39,23 +39,27 @@ class Ladder:
 
     Attributes
     ----------
+    part : bool
     flights : pair of Flight
         The source, and the target, as the part.
     finalists : dict of str to (F, 4, 4) ndarray
         What each search in these cells has found, by the name of the source, best first.
+    promising : (P, 4, 4) ndarray
+        What was left after a first, short ICP in all these searches.
     """
 
     def __init__(
         self, source: np.ndarray, target: np.ndarray, seed: int, look: Look = unhurried, *, part: bool = False
     ):
         self.flights = Flight(source, target, seed), Flight(target, source, seed)
-        self.look, self._part = look, part
+        self.look, self.part = look, part
         self.finalists: dict[str, np.ndarray] = {}
+        self.promising = np.empty((0, 4, 4))
 
     @cached_property
     def turning(self) -> float:
         """The scale at which the structure of both clouds is equally large; beyond it the target is the part."""
-        return np.inf if self._part else self.flights[1].part.size / self.flights[0].part.size
+        return np.inf if self.part else self.flights[1].part.size / self.flights[0].part.size
 
     def flight(self, scale: float) -> tuple[Flight, bool]:
         """Return the flight for a scale, and whether it goes back, from the target to the source."""
@@ -66,15 +70,20 @@ class Ladder:
         """Return which (H,) of (H, 4, 4) transforms see the target as the part."""
         return np.cbrt(np.linalg.det(transforms[:, :3, :3])) > self.turning
 
-    def best(self, starts: np.ndarray, *, estimate_scale: bool) -> np.ndarray:
-        """Return the best different ones (F, 4, 4) of (H, 4, 4) transforms, best first, refined round by round."""
+    def best(self, starts: np.ndarray, *, estimate_scale: bool, every_kind: bool = False) -> np.ndarray:
+        """Return the best different ones (F, 4, 4) of (H, 4, 4) transforms, best first, refined round by round.
+
+        Those are best that agree well by wide normals, or by every kind of :data:`csgm_ros.transform.flight.NORMALS`.
+        """
+        kinds = range(len(NORMALS)) if every_kind else range(1)
         gates, samples, most, count = FIRST
         starts = self._refined(starts, gates, samples, estimate_scale=estimate_scale)
         starts = starts[self.distinct(starts, np.argsort(-self.scores(starts, most), kind='stable'), count)]
+        self.promising = np.concatenate([self.promising, starts])
         scores = np.zeros(len(starts))
         for gates, samples, fine, count in ROUNDS:
             refined = self._refined(starts, gates, samples, fine=fine, estimate_scale=estimate_scale)
-            again = self.scores(refined)
+            again = np.prod([self.scores(refined, kind=kind) for kind in kinds], axis=0)
             better = again >= scores
             starts, scores = np.where(better[:, None, None], refined, starts), np.maximum(scores, again)
             kept = self.distinct(starts, np.argsort(-scores, kind='stable'), count)
@@ -92,16 +101,16 @@ class Ladder:
             ends[h] = turned(end, back)
         return ends
 
-    def scores(self, transforms: Iterable[np.ndarray], most: int | None = None) -> np.ndarray:
+    def scores(self, transforms: Iterable[np.ndarray], most: int | None = None, kind: int = 0) -> np.ndarray:
         """Return how far the clouds agree (H,) under (H, 4, 4) transforms, see :meth:`Flight.score`."""
-        return np.array([self._score(transform, most) for transform in transforms])
+        return np.array([self._score(transform, most, kind) for transform in transforms])
 
-    def _score(self, transform: np.ndarray, most: int | None) -> float:
+    def _score(self, transform: np.ndarray, most: int | None, kind: int) -> float:
         scale = scale_of(transform)
         if not comparable(scale):
             return 0.0
         flight, back = self.flight(scale)
-        return flight.score(turned(transform, back), most)
+        return flight.score(turned(transform, back), most, kind)
 
     def distinct(self, transforms: np.ndarray, order: Iterable[int], count: int, distance: float = SAME) -> list[int]:
         """Return the first ``count`` indices of an order whose (H, 4, 4) transforms differ by ``distance`` cells.

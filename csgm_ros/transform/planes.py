@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +49,15 @@ class Level(NamedTuple):
 
 COARSE = Level(4.0, 24, (-3, -0.55, 0.55, 1.2, 2.4, 5, 10.0), (48, 72, 96))
 FINE = Level(2.0, 48, (-6, -0.8, 0.8, 2, 4, 8, 18.0), (96, 144, 192))
+
+
+Faces = Callable[[Cells], list[Plane]]
+"""Returns the planes of the whole on which those of the part are laid, towards the side where its cells shall be."""
+
+
+def dominant(cells: Cells) -> list[Plane]:
+    """Return the planes on which most of a cloud is."""
+    return cells.planes[:PLANES]
 
 
 class View(NamedTuple):
@@ -104,31 +114,41 @@ class Look(NamedTuple):
 
 
 def looks_at(ladder: Ladder, scales: np.ndarray) -> list[Look]:
-    """Return from which sides two clouds are looked at, for scales from the source to the target."""
+    """Return from which sides two clouds are looked at, for scales from the source to the target.
+
+    Where the whole is sampled more coarsely than the part's structure is small, chance makes a few points agree: such
+    scales are left out.
+    """
     scales = scales[comparable(scales)]
-    back = scales > ladder.turning
-    looks = Look(ladder.flights[0], False, scales[~back]), Look(ladder.flights[1], True, 1.0 / scales[back])
-    return [look for look in looks if len(look.scales) and len(look.flight.part.points) >= MIN_CELLS]
+    looks = []
+    for back, flight in enumerate(ladder.flights):
+        sought = scales[(scales > ladder.turning) == back]
+        sought = 1.0 / sought if back else sought
+        if not ladder.part:  # a map is made to be looked at in parts
+            sought = sought[np.array([flight.resolved(scale) for scale in sought], bool)]
+        if len(sought) and len(flight.part.points) >= MIN_CELLS:
+            looks.append(Look(flight, bool(back), sought))
+    return looks
 
 
 class Correlator:
     """Correlates the clouds of a flight at one level; what scales share is done once."""
 
-    def __init__(self, flight: Flight, level: Level):
-        self.flight, self.level = flight, level
+    def __init__(self, flight: Flight, level: Level, faces: Faces):
+        self.flight, self.level, self.faces = flight, level, faces
         self.size = level.cell * flight.part.size
         self.turns = np.arange(level.yaws) * 2 * np.pi / level.yaws
-        self.parts = [view(flight.part, plane, self.size) for plane in flight.part.planes[:PLANES]]
+        self.parts = [view(flight.part, plane, self.size) for plane in dominant(flight.part)]
         self._views: dict = {}
         self._part_spectra: dict = {}
         self._whole_spectra: dict = {}
 
     def wholes(self, scale: float) -> list[View]:
-        """Return the whole from above each of its planes at a scale."""
+        """Return the whole from above each of its faces at a scale."""
         rung = self.flight.rung(scale)
         if id(rung) not in self._views:
             size = 0.75 * self.level.cell * rung.size  # not coarser than the cells of the smallest scale on the rung
-            self._views[id(rung)] = [view(rung, plane, size) for plane in rung.planes[:PLANES]]
+            self._views[id(rung)] = [view(rung, plane, size) for plane in self.faces(rung)]
         return self._views[id(rung)]
 
     def peaks(self, a: int, b: int, scale: float, yaws: np.ndarray):
@@ -222,14 +242,14 @@ def _interleaved(*keys):
     return mixed[np.sort(np.unique(mixed, return_index=True)[1])]
 
 
-def correlate(ladder: Ladder, scales: np.ndarray):
+def correlate(ladder: Ladder, scales: np.ndarray, faces: Faces = dominant):
     """Return values (P,), robust values (P,), and transforms (P, 4, 4) of correlation peaks.
 
     With many scales, every second one is looked at coarsely with every second yaw, and finely only around the best.
     """
     looks = looks_at(ladder, scales)
-    fine = [Correlator(look.flight, FINE) for look in looks]
-    work, norms = _promising(ladder, looks) if len(scales) > 1 else (_everything(looks, fine), None)
+    fine = [Correlator(look.flight, FINE, faces) for look in looks]
+    work, norms = _promising(ladder, looks, faces) if len(scales) > 1 else (_everything(looks, fine), None)
     found = []
     for (f, a, b, n), yaws in work.items():
         scale = looks[f].scales[n]
@@ -255,13 +275,13 @@ def _everything(looks: list[Look], fine: list[Correlator]):
     }
 
 
-def _promising(ladder: Ladder, looks: list[Look]):
+def _promising(ladder: Ladder, looks: list[Look], faces: Faces):
     """Return the yaws worth a fine look by (look, plane, plane, scale), and median and spread of the values there."""
     ratio = (COARSE.cell / FINE.cell) ** 2  # of the numbers of cells that surfaces have
     every = np.arange(COARSE.yaws)
     rows, norms = [], {}
     for f, (flight, _, scales) in enumerate(looks):
-        coarse = Correlator(flight, COARSE)
+        coarse = Correlator(flight, COARSE, faces)
         for n in range((len(scales) + 1) // 2):
             scale = np.sqrt(scales[2 * n] * scales[min(2 * n + 1, len(scales) - 1)])
             for b in range(len(coarse.wholes(scale))):
@@ -290,12 +310,12 @@ def finalists(ladder: Ladder, scales: np.ndarray, known: np.ndarray) -> np.ndarr
     return ladder.best(starts, estimate_scale=len(scales) > 1)
 
 
-def candidates(ladder: Ladder, scales: np.ndarray, count: int = CANDIDATES) -> np.ndarray:
+def candidates(ladder: Ladder, scales: np.ndarray, count: int = CANDIDATES, faces: Faces = dominant) -> np.ndarray:
     """Return different transforms (P, 4, 4), as they are, likely ones first.
 
     Of either flight those come first that correlate best and those that stand out most at their scale.
     """
-    values, robust, transforms = correlate(ladder, scales)
+    values, robust, transforms = correlate(ladder, scales, faces)
     backs = ladder.backs(transforms)
     keys = [np.where(backs == back, key, -np.inf) for back in np.unique(backs) for key in (values, robust)]
     order = _interleaved(*keys or [values])[:MOST_SORTED]

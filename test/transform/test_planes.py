@@ -8,7 +8,7 @@ from csgm_ros.cloud.cells import cells, working_size
 from csgm_ros.cloud.planes import frame
 from csgm_ros.transform.flight import scale_of
 from csgm_ros.transform.ladder import Ladder
-from csgm_ros.transform.planes import finalists
+from csgm_ros.transform.planes import finalists, looks_at
 from csgm_ros.types import Similarity
 
 NOTHING = np.empty((0, 4, 4))
@@ -67,6 +67,15 @@ def test_the_whole_is_laid_on_its_part(given):
     found = finalists(ladder, np.ones(1) if given else scale * np.exp(np.arange(-1.03, 1.0, 0.1)), NOTHING)
     best = Similarity.from_matrix(found[0]).inverse()
     assert best.displacement(truth.inverse(), target) * scale < 0.15
+
+
+def test_scales_at_which_the_whole_shows_no_surface_are_left_out():
+    ladder = Ladder(view(hall(1)), hall(2)[::40], 0)
+    flight = ladder.flights[0]
+    assert flight.resolved(8.0)  # a voxel holds several of its points
+    assert not flight.resolved(1.0)  # about one, with nothing between them
+    scales = np.array([1.0, 8.0])
+    assert all(look.flight.resolved(scale) for look in looks_at(ladder, scales) for scale in look.scales)
 
 
 @pytest.mark.parametrize('factor', [1e-7, 1e7])
