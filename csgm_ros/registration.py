@@ -52,7 +52,7 @@ NAMES = ('source', 'target')
 GUIDED_WIDTH = 0.25  # seed spacings; with it, matched nodes are at most half of one apart
 LIKELY = 16  # transforms that are compared at two lengths: at one alone, chance decides between parts of a map
 AS_LIKELY = 0.4  # of the best one's evidence at the first length, below which the second does not help
-LEADING = 4  # transforms that lead in another order and are compared at the second length too
+LEADING = 2  # transforms that lead in another order and are compared at the second length too
 MOST_SHOWN = 4  # hypotheses that people are shown: the answer and the best of what competed with it
 LEAST_EFFORT = {
     'supervoxels.voxel_size': 0.1,
@@ -400,13 +400,13 @@ def _best(structures: StructurePair, view: View, config: Config, clock: Clock) -
 def _likely(measured: list[Evidence], ranks: np.ndarray, ladder: Ladder) -> np.ndarray:
     """Return which transforms are compared at a second length.
 
-    The best at the first one, the best as shares of the clouds, which know nothing of that length, and the best of
-    every search, as each ranks them in its own way.
+    The best at the first one, the best as shares of the clouds, which know nothing of that length, and the best parts,
+    which are ranked by more than that length.
     """
     first = np.argsort(-ranks, kind='stable')[: min(LIKELY, (ranks >= AS_LIKELY * ranks.max()).sum())]
     second = np.argsort([-evidence.score for evidence in measured], kind='stable')[:LEADING]
-    leading = [place for found in ladder.finalists.values() for place in found[:LEADING]]
-    third = [n for n, one in enumerate(measured) if any(ladder.alike(place, one.transform.matrix) for place in leading)]
+    parts = ladder.finalists.get('parts', ())[:LEADING]
+    third = [n for n, one in enumerate(measured) if any(ladder.alike(part, one.transform.matrix) for part in parts)]
     return np.unique(np.concatenate([first, second, third]).astype(int))
 
 
