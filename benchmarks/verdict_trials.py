@@ -44,6 +44,7 @@ EVERYTHING = {'verification.different': 0.02}  # that the search has found is ke
 LOOSEST = {
     'min_margin': 1.6,
     'min_planes': 0.0,
+    'min_coverage': 0.0,
     'max_seen_through': 1.0,
 }  # of the curves, one at a time
 NOTHING = Evidence(Similarity.identity(), 0.0, 0.0, 0.0, 0.0)

@@ -274,6 +274,12 @@ class VerificationConfig(Checked):
     min_planes: float = param(
         4.0, 'independent surfaces that agree, below which a result is rejected', low=0.0, high=1000.0
     )
+    min_coverage: float = param(
+        0.07,
+        'share of all independent surfaces of the smaller cloud that agree, below which a result is rejected',
+        low=0.0,
+        high=1.0,
+    )
     min_margin: float = param(
         1.9,
         'score over that of the best different transform, found or probed, below which a result is rejected',

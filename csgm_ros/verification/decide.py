@@ -126,10 +126,12 @@ def _most_confidence(findings: Findings, limits: VerificationConfig) -> float:
 def _terms(findings: Findings, limits: VerificationConfig) -> tuple[Term, ...]:
     """Return what was measured beside its limits; what was not is left out: it is probed only before acceptance."""
     probed, seen = bool(findings.scale_curve), findings.seen_through > 0.0
-    planes, lead, needed = findings.agreement.planes, margin(findings), needed_margin(findings, limits)
+    planes, coverage = findings.agreement.planes, findings.agreement.coverage
+    lead, needed = margin(findings), needed_margin(findings, limits)
     most = vars(limits) | {'max_mirrored': most_mirrored(findings, limits)}
     return (
         Term('independent surfaces that agree', planes, limits.min_planes, True, 'verification.min_planes'),
+        Term('share of all surfaces that agree', coverage, limits.min_coverage, True, 'verification.min_coverage'),
         Term('score over that of the best different one', lead, needed, True, 'verification.min_margin'),
         *(
             Term(name, value, most[parameter], False, f'verification.{parameter}')
@@ -153,6 +155,11 @@ def _doubts(findings: Findings, limits: VerificationConfig, units: Units, *, est
         yield (
             f'too little overlap or structure: {agreement.planes:.1f} independent surfaces agree, '
             f'{limits.min_planes:g} are asked for by verification.min_planes'
+        )
+    elif agreement.coverage < limits.min_coverage:  # so little was never right on the test bed and else believed
+        yield (
+            f'too little overlap: {agreement.coverage:.1%} of the surfaces of the smaller cloud agree, '
+            f'{limits.min_coverage:.1%} are asked for by verification.min_coverage'
         )
     if findings.seen_through > limits.max_seen_through:
         yield (

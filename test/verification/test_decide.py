@@ -22,8 +22,8 @@ X, Y = np.eye(3)[:2]
 SHARP = tuple((factor, 0.1) for factor in SCALES)
 
 
-def agreement(planes=20.0, inliers=500):
-    return Agreement(0.5, 0.5, planes, inliers)
+def agreement(planes=20.0, inliers=500, coverage=0.5):
+    return Agreement(0.5, coverage, planes, inliers)
 
 
 def found(ratio):
@@ -92,6 +92,7 @@ def test_what_nothing_speaks_against_is_accepted(given, said):
         (findings(seen_through=0.5), 'looked through 50%'),
         (findings(agreement=agreement(planes=1.0)), 'verification.min_planes'),
         (findings(agreement=agreement(inliers=3)), 'too little overlap'),
+        (findings(agreement=agreement(coverage=0.06)), '6.0% of the surfaces of the smaller cloud agree, 7.0% are'),
     ],
 )
 def test_each_doubt_rejects_and_says_so(given, said):
