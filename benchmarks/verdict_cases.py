@@ -500,47 +500,51 @@ TEST_MESHES = ('armadillo', 'skull')
 MIRROR_SYMMETRIC = ('springer', 'skull')  # to less than 0.2 % of the radius
 
 
-def _mesh(rng, half: int, but: tuple[str, ...] = ()) -> meshes.Mesh:
+def _drawn(rng, half: int, but: tuple[str, ...] = ()) -> str:
+    """Draw the name of a mesh."""
     names = (FIT_MESHES, TEST_MESHES)[half] if shared_folder() else ()
     names = tuple(name for name in names if name not in but)
     chosen = int(rng.integers(len(names) + 4))
     if chosen < len(names):
-        return meshes.load(names[chosen])
+        return names[chosen]
     family = ('blob', 'machine', 'branch', 'head')[chosen - len(names)]
-    return meshes.load(f'{family}{2 * int(rng.integers(2)) + half}')
+    return f'{family}{2 * int(rng.integers(2)) + half}'
 
 
-def _object_scene(rng, half: int, but: tuple[str, ...] = (), **options) -> Scene:
-    pair = database_c_pair(_mesh(rng, half, but), int(rng.integers(1 << 30)), **options)
+def _two_views(rng, name: str, **options) -> Scene:
+    pair = database_c_pair(meshes.load(name), int(rng.integers(1 << 30)), **options)
     thin = rng.permutation(len(pair.target))[:30000]
     return Scene(pair.source[rng.permutation(len(pair.source))[:15000]], pair.target[thin], pose=pair.T_target_source)
 
 
 def object_views(rng, half: int) -> Scene:
     """Two views of one object, as Database C has them."""
-    return _object_scene(rng, half)
+    return _two_views(rng, _drawn(rng, half))
 
 
 def object_views_far(rng, half: int) -> Scene:
     """Two views of one object, 100 degrees apart."""
-    return _object_scene(rng, half, separation_deg=100.0)
+    return _two_views(rng, _drawn(rng, half), separation_deg=100.0)
 
 
 def object_mirrored(rng, half: int) -> Scene:
     """An object and its mirror image, but for those that are their own."""
-    scene = _object_scene(rng, half, but=MIRROR_SYMMETRIC)
+    scene = _two_views(rng, _drawn(rng, half, but=MIRROR_SYMMETRIC))
     return Scene(scene.source * (-1, 1, 1), scene.target, related=False, pose=scene.pose)
 
 
 def object_other(rng, half: int) -> Scene:
     """Two different objects."""
-    one = _object_scene(rng, half)
-    return Scene(one.source, _object_scene(np.random.default_rng(rng.integers(1 << 30)), half).target, related=False)
+    first = _drawn(rng, half)
+    one = _two_views(rng, first)
+    rng = np.random.default_rng(rng.integers(1 << 30))
+    second = next(name for name in iter(lambda: _drawn(rng, half), None) if name != first)
+    return Scene(one.source, _two_views(rng, second).target, related=False)
 
 
 def object_part(rng, half: int) -> Scene:
     """A part of an object, a quarter of it, in the whole."""
-    mesh = _mesh(rng, half)
+    mesh = meshes.load(_drawn(rng, half))
     points = np.concatenate([mesh.vertices, mesh.vertices[mesh.triangles].mean(1)])
     points = points[rng.permutation(len(points))]
     size = np.linalg.norm(points, axis=1).max()

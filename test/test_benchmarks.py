@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks import ablation, database_c, datasets, harness, meshes, metrics, peers, tables, verdict
-from benchmarks.verdict_cases import Case
+from benchmarks import ablation, database_c, datasets, harness, meshes, metrics, peers, tables, verdict, verdict_cases
+from benchmarks.verdict_cases import Case, Scene
 from benchmarks.verdict_trials import Trial, load, save
 from csgm_ros.cloud.agreement import Agreement
 from csgm_ros.config import flatten, profile
@@ -49,6 +49,15 @@ def test_a_sculpture_is_a_closed_surface_whose_normals_point_outwards(family):
     corners = mesh.vertices[mesh.triangles]
     assert np.einsum('nd,nd->n', corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() > 0
     np.testing.assert_allclose(mesh.vertices.mean(axis=0), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize('half', [0, 1])
+def test_different_objects_are_different(monkeypatch, half):
+    drawn = []
+    monkeypatch.setattr(verdict_cases, '_two_views', lambda rng, name: drawn.append(name) or Scene(POINTS, POINTS))
+    for seed in range(60):
+        verdict_cases.object_other(np.random.default_rng(seed), half)
+    assert all(one != other for one, other in zip(drawn[::2], drawn[1::2], strict=True))
 
 
 def test_sculptures_are_repeatable_and_differ_by_seed():
