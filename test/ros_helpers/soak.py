@@ -265,6 +265,7 @@ def soak(seconds: float, *, points: int = 300_000, rate: float = 10.0, pause: fl
             each.join(2 * ANSWER)
             if each.is_alive():
                 figures.unanswered.append('a client waits for ever')
+        left_alone(figures)
         figures.tracebacks = node.log.count('Traceback')
         node.close()
         return figures
@@ -275,6 +276,20 @@ def soak(seconds: float, *, points: int = 300_000, rate: float = 10.0, pause: fl
             each.kill()
         if node.popen.poll() is None:
             node.kill()
+
+
+def left_alone(figures):
+    """Register undisturbed: whatever was done to the node, and however seldom it came to an end, it works as ever."""
+    with Client(f'{SPACE}/csgm', ANSWER) as client:
+        client.configure(timeout=ANSWER)
+        client.activate()
+        end = time.monotonic() + ANSWER
+        while not (answer := client.register(timeout=ANSWER)).success and time.monotonic() < end:
+            time.sleep(1.0)  # a sensor may just have been killed
+    done, refused = figures.counts.get('register', (0, 0))
+    figures.counts['register'] = (done + answer.success, refused + (not answer.success))
+    while answer.success and not figures.errors and time.monotonic() < end:
+        time.sleep(0.1)
 
 
 def watch(seconds, node, listener, sensors, figures, rebirth, size):
