@@ -175,7 +175,7 @@ def _attempts(
                 raise
             continue  # smoothed, or at other lengths, a sparse cloud may have no structure left
         result = _updated(results.get(attempt.smoothing), result)
-        results[attempt.smoothing] = Ranked(result, 0.0)
+        results[attempt.smoothing] = Ranked(result, 0.0)  # kept should the time be up before its likelihood is known
         if result.accepted or clock.expired:
             break
         # on the clouds as they are: smoothed ones agree the better

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scenes import box, rectangle
 from scipy.spatial.transform import Rotation
 
 from csgm_ros.transform.ladder import Ladder
@@ -13,21 +14,18 @@ TOP, LOW, HIGH = 0.8, np.array([3.0, 2.0]), np.array([5.4, 3.6])
 
 
 def room(seed):
-    """A floor of 8 by 6 m, two walls and boxes, and a table with things on it, sampled anew by every seed."""
+    """A floor of 8 by 6 m, two walls, and a table with things on it, sampled anew by every seed."""
     shapes, rng = np.random.default_rng(5), np.random.default_rng(seed)
     parts = [
-        rng.uniform((0, 0, 0), (8, 6, 0.01), (60000, 3)),
-        rng.uniform((0, 0, 0), (8, 0.01, 1.5), (20000, 3)),
-        rng.uniform((0, 0, 0), (0.01, 6, 1.5), (15000, 3)),
-        rng.uniform((*LOW, TOP), (*HIGH, TOP + 0.01), (12000, 3)),
+        rectangle(rng, (0, 0, 0), (8, 0, 0), (0, 6, 0), 1250),
+        rectangle(rng, (0, 0, 0), (8, 0, 0), (0, 0, 1.5), 1670),
+        rectangle(rng, (0, 0, 0), (0, 6, 0), (0, 0, 1.5), 1670),
+        rectangle(rng, (*LOW, TOP), (HIGH[0] - LOW[0], 0, 0), (0, HIGH[1] - LOW[1], 0), 3120),
     ]
     for _ in range(12):
         size = shapes.uniform(0.1, 0.45, 3)
-        place = np.append(shapes.uniform(LOW + 0.2, HIGH - 0.2), TOP + size[2] / 2)
-        points = rng.uniform(-0.5, 0.5, (900, 3))
-        axis = rng.integers(3, size=900)
-        points[np.arange(900), axis] = rng.choice((-0.5, 0.5), 900)
-        parts.append(place + points * size)
+        corner = np.append(shapes.uniform(LOW + 0.2, HIGH - 0.2) - size[:2] / 2, TOP)
+        parts.append(box(rng, corner, size, 2000))
     return np.concatenate(parts) + rng.normal(0, 0.004, (sum(map(len, parts)), 3))
 
 
