@@ -344,6 +344,7 @@ def test_a_time_budget_holds_at_any_stage(name, budget, monkeypatch):
     monkeypatch.setattr('csgm_ros.progress.time.perf_counter', time.process_time)
     clouds = (SOURCE, TRUTH.apply(TARGET)) if name == 'room' else (shape('fog', 0), shape('fog', 1))
     warm_up()  # what is loaded once a process
+    pytest.importorskip('open3d')  # and the library of the last refinement, by whichever test comes first
     start = time.process_time()
     result = register(*clouds, replaced(profile(), {'time_budget': budget, 'threads': 1}))
     assert time.process_time() - start < budget + 0.9
