@@ -36,8 +36,8 @@ class CloudInput:
     """The newest clouds of one topic.
 
     By default the subscription follows what the publishers offer: reliable where all of them are, best effort
-    where one is not, and a second one for latched publishers, so that a map sent before the node was started
-    is not missed. The ``qos_overrides`` parameters fix it instead.
+    where one is not, both while there is none, and a second one for latched publishers, so that a map sent before
+    the node was started is not missed. The ``qos_overrides`` parameters fix it instead.
 
     It owns its subscriptions, its messages and its counts, and changes them under its lock alone. What a
     subscription receives counts for the session, from :meth:`open` to :meth:`close`, in which it was made.

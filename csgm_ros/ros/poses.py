@@ -60,6 +60,11 @@ class Poses:
             self._publishers = {}
             self._tf.destroy()
 
+    def advertise_tf(self) -> None:
+        """Let listeners know the publisher of /tf: what it sends before they do is lost to them."""
+        with self._lock:
+            self._tf.advertise()
+
     def use_map(self, prepared: PreparedMap, frame_id: str) -> None:
         """Begin a path in another map."""
         with self._lock:

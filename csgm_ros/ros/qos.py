@@ -11,6 +11,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from csgm_ros.errors import ConfigError
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+RELIABILITIES = (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)
 POLICIES = {'reliability': ReliabilityPolicy, 'durability': DurabilityPolicy, 'history': HistoryPolicy}
 # With a depth of 1, clouds of a publisher that catches up are lost, and so are those that come while Python is busy.
 DEFAULTS = {'reliability': 'best_available', 'durability': 'best_available', 'history': 'keep_last', 'depth': 5}
@@ -43,6 +44,9 @@ def declare_overrides(node: Node, topic: str) -> dict:
 def subscription_qos(offers: Iterable, overrides: dict) -> set[tuple[ReliabilityPolicy, DurabilityPolicy]]:
     """Return the (reliability, durability) of the subscriptions that hear every publisher as well as it can be heard.
 
+    While there is no publisher these are two: one of best effort alone would miss what a reliable publisher sends
+    at once, as ``ros2 topic pub --once`` does, and a reliable one does not hear a sensor.
+
     Parameters
     ----------
     offers : iterable of rclpy.endpoint_info.TopicEndpointInfo
@@ -59,9 +63,10 @@ def subscription_qos(offers: Iterable, overrides: dict) -> set[tuple[Reliability
     wanted = set()
     if any(latched):
         wanted.add((ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL))
-    if not offers or not all(latched):
-        sure = bool(offers) and all(reliable)
-        wanted.add((ReliabilityPolicy.RELIABLE if sure else ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE))
+    if not all(latched):
+        wanted.add((RELIABILITIES[not all(reliable)], DurabilityPolicy.VOLATILE))
+    if not offers:
+        wanted = {(reliability, DurabilityPolicy.VOLATILE) for reliability in RELIABILITIES}
     fixed_reliability, fixed_durability = overrides['reliability'], overrides['durability']
     return {
         (

@@ -32,18 +32,26 @@ class Broadcaster:
         self._publisher: Publisher | None = None
         self._missing = False
 
-    def publish(self, transform: TransformStamped) -> None:
-        """Send one transform."""
+    def advertise(self) -> Publisher | None:
+        """Make the publisher, so that listeners know it by its first transform; None without tf2_msgs."""
         try:
             from tf2_msgs.msg import TFMessage
         except ImportError:
             if not self._missing:
                 self._node.get_logger().warning(f'tf2_msgs is not installed: nothing on {self._topic}')
             self._missing = True
-            return
+            return None
         if self._publisher is None:
             self._publisher = self._node.create_publisher(TFMessage, self._topic, self._qos)
-        self._publisher.publish(TFMessage(transforms=[transform]))
+        return self._publisher
+
+    def publish(self, transform: TransformStamped) -> None:
+        """Send one transform."""
+        publisher = self.advertise()
+        if publisher is not None:
+            from tf2_msgs.msg import TFMessage
+
+            publisher.publish(TFMessage(transforms=[transform]))
 
     def destroy(self) -> None:
         """Take the publisher down."""

@@ -64,6 +64,8 @@ class Tracking:
         settings = self._settings.node_config
         if settings.odom_frame or settings.base_frame:
             self._frames.listen()
+        if settings.tf_broadcast and self._outputs is not None:
+            self._outputs.advertise_tf()
         self._tracker.open()
         if self._file is not None:
             self._tracker.use_map(self._file, settings.map_frame)

@@ -10,6 +10,7 @@ pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Path
+from rclpy.qos import QoSProfile
 from ros_helpers.peer import RELIABLE
 from ros_helpers.process import NodeProcess
 from ros_helpers.waiting import until
@@ -81,7 +82,7 @@ class Walker:
         self._map = ros.send(f'{space}/map', cloud_message(header('sfm', 0), kitchen.map))
         self._frames = ros.publisher(f'{space}/points')
         self.poses = ros.listen(f'{space}/csgm/pose', PoseWithCovarianceStamped, RELIABLE)
-        self.tf = ros.listen('/tf', TFMessage, RELIABLE)
+        self.tf = ros.listen('/tf', TFMessage, QoSProfile(depth=100))
         until(self._ready, 'the node to have the map, and to listen reliably')
 
     def _ready(self):
@@ -132,7 +133,7 @@ def test_a_walk_over_dds_is_localised_tracked_blocked_and_found_again(client, ro
     assert walker.status()['state'] == 'lost'
     assert len(walker.poses) == len(walker.tf) == told
     walker.send_until_tracking(range(86, 140))
-    assert len(walker.poses) > told
+    until(lambda: len(walker.tf) == len(walker.poses) > told, 'a transform of each pose')
 
     scale = ros.listen(f'{SPACE}/csgm/scale', Float64).wait().data
     assert scale == pytest.approx(np.cbrt(np.linalg.det(kitchen.truth[0][:3, :3])), rel=0.06)
@@ -195,15 +196,17 @@ def test_odometry_by_tf_gives_map_to_odom_and_the_pose_of_the_base(start, ros, k
     sent = range(first, first + 6)
     for number in sent[1:]:
         walker.send(number)
-    until(lambda: len(walker.poses) == len(sent), 'a pose of each frame')
+
+    def corrections():
+        return [t for message in walker.tf for t in message.transforms if t.header.frame_id == 'sfm_metric']
+
+    until(lambda: len(walker.poses) == len(corrections()) == len(sent), 'a pose and a correction of each frame')
     scale = ros.listen('/robot/csgm/scale', Float64).wait().data
 
     def right(number, base):
         return kitchen.right(number, np.diag((scale, scale, scale, 1.0)) @ (base @ robot.camera_in_base).matrix)
 
-    corrections = [t for message in walker.tf for t in message.transforms if t.header.frame_id == 'sfm_metric']
-    assert len(corrections) == len(sent)
-    for number, message, correction in zip(sent, walker.poses, corrections, strict=True):
+    for number, message, correction in zip(sent, walker.poses, corrections(), strict=True):
         base = Similarity.from_quaternion(*pose(message.pose.pose.orientation, message.pose.pose.position))
         assert right(number, base)
         assert correction.child_frame_id == Robot.ODOM

@@ -67,7 +67,8 @@ class NodeProcess(Process):
         if self.popen.poll() is None:
             self.signal(signal.SIGINT)
         try:
-            assert self.wait(20.0) == 0, self.log
+            code = self.wait(20.0)
+            assert code == 0, f'the node ended with {code}:\n{self.log}'
         finally:
             self.kill()
             self._log.close()
