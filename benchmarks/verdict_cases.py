@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from benchmarks import meshes
+from benchmarks import meshes, metrics
 from benchmarks.datasets import apply, database_c_pair, real_names, real_pair, similarity
 from benchmarks.meshes import random_rotation, shared_folder
 from benchmarks.verdict_worlds import World, depth, furniture, fused, lidar, photos, views_of_room, walls
@@ -44,6 +44,8 @@ class Case:
         Where the sensors stood, each in its own cloud's frame; None where unknown or several.
     real : bool
         Real clouds: their truth is known to some centimetres.
+    metre : float
+        In units of the target; of real clouds.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Case:
     rigid: bool = False
     eyes: tuple[np.ndarray | None, np.ndarray | None] = (None, None)
     real: bool = False
+    metre: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +72,7 @@ class Scene:
     determined: bool = True
     eyes: tuple = (None, None)
     pose: np.ndarray = field(default_factory=lambda: np.eye(4))
+    metre: float = 1.0
 
 
 # --- corridors
@@ -624,6 +628,7 @@ def _placed(name: str, kind: str, half: int, scene: Scene, rigid: bool, rng, *, 
         rigid,
         (None if eyes[0] is None else apply(pose, np.asarray(eyes[0])[None])[0], eyes[1]),
         real,
+        scene.metre,
     )
 
 
@@ -658,11 +663,9 @@ def _frames(name: str, half: int, count: int) -> Iterator[tuple[str, int, Scene]
     data, target = np.load(folder / 'frames.npz'), _read(folder / 'map.ply')
     on_map = np.flatnonzero((data['state'] == 1) & (data['share_on_map'] > 0.5))
     for index in on_map[np.linspace(0, len(on_map) - 1, count).astype(int)]:
-        yield (
-            f'{name}-{index}',
-            half,
-            Scene(_frame(data, index), target, eyes=(np.zeros(3), None), pose=data['T_map_camera'][index]),
-        )
+        pose = data['T_map_camera'][index]
+        scene = Scene(_frame(data, index), target, eyes=(np.zeros(3), None), pose=pose, metre=metrics.split(pose)[0])
+        yield f'{name}-{index}', half, scene
 
 
 def _frame(data, index: int) -> np.ndarray:

@@ -94,7 +94,7 @@ def right(estimate: np.ndarray, case: Case) -> bool:
     """Whether an estimate may be accepted: near the truth where there is one and nothing else fits as well.
 
     Mean displacement under 5 % of the source's robust radius (3 %, or 10 cm, for real clouds, whose truth is known no
-    better), rotation under 5 degrees, scale within 6 %.
+    better: of a depth frame and its map, metres of the frame), rotation under 5 degrees, scale within 6 %.
     """
     return case.determined and case.related and near(estimate, case)
 
@@ -103,7 +103,7 @@ def near(estimate: np.ndarray, case: Case, times: float = 1.0) -> bool:
     """Whether an estimate is where the case has the source, right or not, within some times the tolerance."""
     moved, there = (apply(pose, case.source[:ASKED]) for pose in (estimate, case.pose))
     size = np.percentile(np.linalg.norm(there - np.median(there, axis=0), axis=1), 90)
-    bound = max(0.03 * size, 0.10) if case.real else 0.05 * size
+    bound = max(0.03 * size, 0.10 * case.metre) if case.real else 0.05 * size
     return bool(
         np.linalg.norm(moved - there, axis=1).mean() < times * bound
         and metrics.rotation_error_deg(estimate, case.pose) < times * 5.0
@@ -224,7 +224,8 @@ def normal(view: View, transform: np.ndarray) -> Similarity:
 def save(path: Path, case: Case, trials: list[Trial]) -> None:
     """Write a case and its trials."""
     eyes = [np.full(3, np.nan) if eye is None else eye for eye in case.eyes]
-    facts = {key: getattr(case, key) for key in ('name', 'kind', 'half', 'determined', 'rigid', 'real', 'related')}
+    kept = 'name', 'kind', 'half', 'determined', 'rigid', 'real', 'related', 'metre'
+    facts = {key: getattr(case, key) for key in kept}
     np.savez(
         path,
         facts=json.dumps(facts),
@@ -254,8 +255,14 @@ def load(path: Path) -> tuple[Case, list[Trial]]:
 
 def swapped(case: Case) -> Case:
     """Return a case with source and target exchanged."""
+    back = np.linalg.inv(case.pose)
     return replace(
-        case, source=case.target, target=case.source, pose=np.linalg.inv(case.pose), eyes=(case.eyes[1], case.eyes[0])
+        case,
+        source=case.target,
+        target=case.source,
+        pose=back,
+        eyes=(case.eyes[1], case.eyes[0]),
+        metre=case.metre * metrics.split(back)[0],
     )
 
 
