@@ -134,11 +134,11 @@ def _until(items: Iterable, minutes: float) -> Iterator:
 
 
 def _is_among(name: str, most: int) -> bool:
-    """Whether a case is among the first of its kind; of the real ones, which are few, all but the unrelated are."""
+    """Whether a case is among the first of its kind in its half; of the few real ones, all but the unrelated are."""
     number = name.rpartition('-')[2]
     if '|' in name:
         return sum(name.encode()) % 12 < most
-    return not number.isdigit() or int(number) < most
+    return not number.isdigit() or int(number) // 2 < most
 
 
 def _path(name: str, cache: Path) -> Path:
