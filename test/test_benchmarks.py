@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import ablation, database_c, datasets, harness, meshes, metrics, peers, tables, verdict, verdict_cases
 from benchmarks.verdict_cases import Case, Scene
-from benchmarks.verdict_trials import Trial, load, save
+from benchmarks.verdict_trials import Trial, load, near, save, swapped
 from csgm_ros.cloud.agreement import Agreement
 from csgm_ros.config import flatten, profile
 from csgm_ros.verification.findings import Findings, Motion, Rival
@@ -58,6 +58,21 @@ def test_different_objects_are_different(monkeypatch, half):
     for seed in range(60):
         verdict_cases.object_other(np.random.default_rng(seed), half)
     assert all(one != other for one, other in zip(drawn[::2], drawn[1::2], strict=True))
+
+
+def test_real_clouds_are_right_within_ten_centimetres_whatever_the_unit_of_the_target():
+    pose = datasets.similarity(2.0, np.eye(3), np.zeros(3))
+    case = Case('frame', 'frame in map', 1, POINTS, 2.0 * POINTS, pose, real=True, metre=2.0)
+
+    def off(metres):
+        moved = pose.copy()
+        moved[0, 3] = metres * case.metre
+        return moved
+
+    assert near(off(0.09), case)
+    assert not near(off(0.11), case)
+    assert near(np.linalg.inv(off(0.09)), swapped(case))
+    assert not near(np.linalg.inv(off(0.11)), swapped(case))
 
 
 def test_sculptures_are_repeatable_and_differ_by_seed():
