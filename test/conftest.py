@@ -25,6 +25,8 @@ def pytest_configure(config):
     config.stash[DOMAIN_LOCK] = lock = free_domain()
     os.environ['ROS_DOMAIN_ID'] = lock.name.rpartition('_')[2]
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    # As sensor drivers are told to: with the default transports, what is small comes seconds late beside clouds.
+    os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(Path(__file__).parents[1] / 'config' / 'fastdds.xml')
 
 
 def free_domain():

@@ -7,20 +7,22 @@ import sys
 import tempfile
 from pathlib import Path
 
+from csgm_ros.ros.dds import PROFILE_VARIABLE
 from ros_helpers.waiting import until
 
 ROOT = Path(__file__).parents[2]
 
 
 class Process:
-    """A Python process with its output in a file."""
+    """A Python process with its output in a file; it chooses its transports itself."""
 
     ROOT = ROOT
 
     def __init__(self, *arguments, env=None):
         self._log = tempfile.NamedTemporaryFile('w+', suffix='.log')  # noqa: SIM115 - closed by close()
         paths = [str(ROOT), str(ROOT / 'test'), os.environ.get('PYTHONPATH', '')]
-        environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(paths), 'PYTHONUNBUFFERED': '1', **(env or {})}
+        inherited = {name: value for name, value in os.environ.items() if name != PROFILE_VARIABLE}
+        environment = {**inherited, 'PYTHONPATH': os.pathsep.join(paths), 'PYTHONUNBUFFERED': '1', **(env or {})}
         self.popen = subprocess.Popen(
             [sys.executable, *arguments], stdout=self._log, stderr=subprocess.STDOUT, env=environment
         )
