@@ -218,6 +218,12 @@ def normal(view: View, transform: np.ndarray) -> Similarity:
     return target @ (own.inverse() if view.pair.exchanged else own) @ source.inverse()
 
 
+def _own(view: View, transform: Similarity) -> np.ndarray:
+    """Return a transform between the normalised clouds as one between own units, see :func:`normal`."""
+    own = view.pair.in_own_units(transform)
+    return (own.inverse() if view.pair.exchanged else own).matrix
+
+
 # --- the cache: a file of clouds and planted trials for each case
 
 
@@ -269,18 +275,19 @@ def swapped(case: Case) -> Case:
 def judged(case: Case, trials: Iterable[Trial], view: View) -> list[dict]:
     """Return everything that is found out about the winners of one case.
 
-    Probed is what would be accepted otherwise, be one of the thresholds as loose as any that is looked at: probes find
-    what speaks against a transform, so that all others are rejected with them and without.
+    The winners are polished as those of the search are. Probed is what would be accepted otherwise, be one of the
+    thresholds as loose as any that is looked at: probes find what speaks against a transform, so that all others are
+    rejected with them and without.
     """
     rows = []
     for trial in trials:
-        inner = normal(view, trial.winner)
+        inner = view.polished(normal(view, trial.winner))
         others = [normal(view, other) for other in trial.others]
         view.comparison(inner.scale)  # made but once for a pair
         start = time.process_time()
         findings = view.compared(inner, others)
         if _open(findings, case):
-            findings = view.probed(inner, others, findings)
+            findings = view.probed(inner, findings)
         cpu = time.process_time() - start
         rows.append(
             {
@@ -288,7 +295,7 @@ def judged(case: Case, trials: Iterable[Trial], view: View) -> list[dict]:
                 'kind': case.kind,
                 'half': case.half,
                 'setting': trial.setting,
-                'right': right(trial.winner, case),
+                'right': right(_own(view, inner), case),
                 'rigid': case.rigid,
                 'cpu': round(cpu, 3),
                 'findings': _plain(findings),

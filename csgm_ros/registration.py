@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
@@ -382,7 +382,7 @@ def _best(structures: StructurePair, view: View, config: Config, clock: Clock) -
         return None
     if not ladder.finalists:
         best = max(allowed, key=lambda evidence: evidence.score)
-        last = _settled(best, view, config, clock)[0]
+        last = _settled(best, view, config, clock)
         return last if last.score > best.score and _allowed(last.transform, structures) else best
     score = cache(lambda evidence: view.score(evidence.transform))
     ranks = ladder.scores([evidence.transform.matrix for evidence in allowed])
@@ -394,7 +394,10 @@ def _best(structures: StructurePair, view: View, config: Config, clock: Clock) -
 
     best = max(filter(fits, allowed), key=score)
     # the correspondence distances of the last ICP may be too wide for what the clouds show
-    return max([best, *filter(fits, _settled(best, view, config, clock))], key=score)
+    best = max([best, *filter(fits, [_settled(best, view, config, clock)])], key=score)
+    # which of many ends fits best is chance, and so is how well: where all of them lead is neither
+    end = _once(view, 'polished', best, view.polished)
+    return end if fits(end) else best
 
 
 def _likely(measured: list[Evidence], ranks: np.ndarray, ladder: Ladder) -> np.ndarray:
@@ -410,17 +413,23 @@ def _likely(measured: list[Evidence], ranks: np.ndarray, ladder: Ladder) -> np.n
     return np.unique(np.concatenate([first, second, third]).astype(int))
 
 
-def _settled(best: Evidence, view: View, config: Config, clock: Clock) -> list[Evidence]:
-    """Return a transform after the final ICP of the paper; as it was, and that, after one in lengths of structure."""
-    key = best.transform.matrix.tobytes()  # mostly what was best before, whatever another source has added
-    if key not in view.settled:
-        scaled = config.scale.estimate_scale and config.icp.estimate_scale
+def _settled(best: Evidence, view: View, config: Config, clock: Clock) -> Evidence:
+    """Return a transform after the final ICP of the paper."""
+    scaled = config.scale.estimate_scale and config.icp.estimate_scale
+
+    def settle(start: Similarity) -> Similarity:
         clock.check()
-        start = best.transform
-        last = _held(refine_best(start, *view.surfaces, config, estimate_scale=scaled, look=clock.check), start)
-        ends = last, _held(view.refined(start), start), _held(view.refined(last), start)
-        view.settled[key] = [view.measure(end) for end in ends]
-    return view.settled[key]
+        return refine_best(start, *view.surfaces, config, estimate_scale=scaled, look=clock.check)
+
+    return _once(view, 'settled', best, settle)
+
+
+def _once(view: View, how: str, best: Evidence, refine: Callable[[Similarity], Similarity]) -> Evidence:
+    """Return what a refinement makes of a transform: mostly of the best before, whatever another source has added."""
+    key = how, best.transform.matrix.tobytes()
+    if key not in view.refined:
+        view.refined[key] = view.measure(_held(refine(best.transform), best.transform))
+    return view.refined[key]
 
 
 def _held(end: Similarity, start: Similarity) -> Similarity:

@@ -77,13 +77,35 @@ class Comparison:
         planes = min(agrees)
         return Agreement(float(min(shares)), float(min(1.0, planes / self._least)), float(planes), min(inliers))
 
+    def scores(self, transforms: np.ndarray, most: int) -> np.ndarray:
+        """Return the scores (H,) of (H, 4, 4) transforms on ``most`` points of each side, all at once."""
+        transforms = np.ascontiguousarray(transforms, float).reshape(-1, 4, 4)
+        shares, agrees = [], []
+        for matrices, (moving, still), own in zip(
+            (transforms, _inverses(transforms)), (self.sides, self.sides[::-1]), self._weights, strict=True
+        ):
+            sample, grid = moving.sample[:most], still.grid
+            units = (matrices[:, :3, 0] ** 2).sum(1) ** 0.25
+            meets, agree = np.empty((2, len(matrices)))
+            _meet_all(
+                matrices,
+                moving.points[sample],
+                moving.normals[sample],
+                (grid.index, grid.origin, grid.cell, grid.points, grid.normals),
+                (INLIER * self.cell, NEAR * self.cell, still.gap, self._min_cosine),
+                units,
+                own[:most],
+                meets,
+                agree,
+            )
+            shares.append(agree / np.maximum(meets, 1e-12))
+            agrees.append(agree)
+        return np.min(shares, 0) * np.minimum(1.0, np.min(agrees, 0) / self._least)
+
     def states(self, transform: np.ndarray, most: int | None = None) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return what each side's sample meets under a (4, 4) transform, and the nearest point there."""
         found = []
-        squared = (transform[:3, 0] ** 2).sum()
-        back = np.eye(4)
-        back[:3, :3] = transform[:3, :3].T / squared
-        back[:3, 3] = -back[:3, :3] @ transform[:3, 3]
+        back = _inverses(transform[None])[0]
         for matrix, moving, still in ((transform, *self.sides), (back, *self.sides[::-1])):
             unit = np.sqrt(np.sqrt((matrix[:3, 0] ** 2).sum()))  # neither cloud's cell counts more than the other's
             sample = moving.sample[:most]
@@ -108,6 +130,28 @@ class Comparison:
         agree = states == AGREES
         points = source.points[source.sample[agree]] @ transform[:3, :3].T + transform[:3, 3]
         return points, target.normals[near[agree]], self._weights[0][agree]
+
+
+def _inverses(transforms: np.ndarray) -> np.ndarray:
+    """Return the inverses of (H, 4, 4) similarities."""
+    back = np.zeros_like(transforms)
+    back[:, 3, 3] = 1.0
+    back[:, :3, :3] = transforms[:, :3, :3].transpose(0, 2, 1) / (transforms[:, :3, 0] ** 2).sum(1)[:, None, None]
+    back[:, :3, 3] = -(back[:, :3, :3] @ transforms[:, :3, 3:])[:, :, 0]
+    return back
+
+
+@kernel
+def _meet_all(matrices, points, normals, grid, lengths, units, weights, meets, agrees):
+    states, near = np.empty(len(points), np.int8), np.empty(len(points), np.int64)
+    inlier, reach, gap, min_product = lengths
+    for h in range(len(matrices)):
+        u = units[h]
+        _meet(matrices[h], points, normals, grid, (inlier * u, reach * u, gap * u, min_product * u**2), states, near)
+        meets[h], agrees[h] = 0.0, 0.0
+        for k in range(len(points)):
+            meets[h] += weights[k] * (states[k] > FAR)
+            agrees[h] += weights[k] * (states[k] == AGREES)
 
 
 @kernel

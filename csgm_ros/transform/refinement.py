@@ -38,10 +38,18 @@ def refine_between(
     max_correspondence_distances: tuple[float, ...],
     *,
     estimate_scale: bool,
+    iterations: int = 8,
 ) -> np.ndarray:
     """Refine (H, 4, 4) transforms by a short ICP between two clouds as verification looks at them."""
-    agree = cosine(MAX_PROBE_ANGLE)
-    return refine_all(transforms, *grids, samples, max_correspondence_distances, agree, estimate_scale=estimate_scale)
+    return refine_all(
+        transforms,
+        *grids,
+        samples,
+        max_correspondence_distances,
+        cosine(MAX_PROBE_ANGLE),
+        iterations=iterations,
+        estimate_scale=estimate_scale,
+    )
 
 
 def refine_best(

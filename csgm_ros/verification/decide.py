@@ -27,6 +27,7 @@ INEXACT = 2.4  # the margin with which a place is believed whose pose is not exa
 LACKING, CONTRADICTED, AMBIGUOUS = 0.02, 0.1, 0.5  # most confidence in what is rejected, by why
 CLEAR = 20.0  # logarithm of the margin, in its own uncertainty, from which what fits mirrored too is no chance, ...
 SYMMETRIC = 1.1  # ... and how well that may fit; a mirror image fits twice as well as what is taken for it
+SAYS_MORE = 1.15  # times as well a turn must fit as a slide, to be told of first: one wall slides, and is turned by 180
 NOTHING = 0.05  # the least score, relative to the winner's, that something different has
 NEARBY = 6.0  # cells of displacement up to which a transform is the same but for bent clouds and noise ...
 NEARBY_MARGIN = 1.15  # ... and need not be so much worse
@@ -199,7 +200,7 @@ def _doubts(findings: Findings, limits: VerificationConfig, units: Units, *, est
 
 
 def _competing(findings: Findings, limits: VerificationConfig) -> list[Rival]:
-    """Return the rivals that fit so well that they leave a doubt, what fits best first."""
+    """Return the rivals that fit so well that they leave a doubt, what fits best first; slides, for they say more."""
     needed = needed_margin(findings, limits)
     return sorted(
         (
@@ -207,7 +208,7 @@ def _competing(findings: Findings, limits: VerificationConfig) -> list[Rival]:
             for rival in findings.rivals
             if rival.ratio * (needed if rival.displacement > NEARBY else NEARBY_MARGIN) > 1.0
         ),
-        key=lambda rival: -rival.ratio,
+        key=lambda rival: -rival.ratio * (SAYS_MORE if rival.motion and rival.motion.kind == 'slide' else 1.0),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,15 +13,21 @@ from csgm_ros.types import NearestGrid
 from csgm_ros.verification.probes import SCALES, mirrors, scales, symmetries
 
 Refine = Callable[..., np.ndarray]
-"""``refine(transforms, grids, samples, distances, estimate_scale)``, see
+"""``refine(transforms, grids, samples, distances, estimate_scale, iterations)``, see
 :func:`csgm_ros.transform.refinement.refine_between`; verification proposes, but does not know how to refine."""
+
+Polish = Callable[[np.ndarray], np.ndarray]
+"""Of one (4, 4) transform, see :func:`polished`."""
 
 WIDE_DISTANCES, FINE_DISTANCES = (4.0, 2.5, 1.5), (0.75, 0.4)  # cells, of the correspondences of probes
 SAME_DISTANCES = (1.0, 0.5)
+POLISH, POLISHED = (1.5, 1.0, 0.5), 40  # cells, and steps at most, until what all witnesses say no longer changes
 FEW, SOME, PROBES = 400, 700, 60  # points
-MOST_RIVALS = 16  # that are measured on all points, of what is probed
-MIRRORED = ((WIDE_DISTANCES[:1], 350, 48), (WIDE_DISTANCES[1:], SOME, 16), (FINE_DISTANCES, SOME, 4))
-"""Rounds of mirror images: correspondence distances, points that tell the best, and how many are kept."""
+MOST_RIVALS, RIVALS_APART = 16, 2.5  # that are measured on all points, of what is probed; cells
+WORTH = 0.3  # of the winner's score, from which a rival is polished: the others leave no doubt
+ROUNDS = ((WIDE_DISTANCES[:1], 350, 48), (WIDE_DISTANCES[1:], SOME, 16), (FINE_DISTANCES, SOME, 16))
+"""Of probes: correspondence distances, points that tell the best, and how many are kept."""
+MOST_MIRRORED = 4
 MIN_OVERLAP = 20  # points, below which there is nothing to probe
 BOARDS = ((5.0, 0.0), (5.0, 0.37), (8.0, 0.0), (8.0, 0.37))  # edge in cells and phase of the checkerboards
 SAME_SCALE, SAME_ANGLE = 0.05, 10.0  # |log factor| and degrees up to which a rival only slides
@@ -119,11 +125,10 @@ class Probes:
     imprecision: float
 
 
-def compared(comparison: Comparison, winner: np.ndarray, others: Iterable[np.ndarray]) -> Findings:
+def compared(comparison: Comparison, winner: np.ndarray, others: Iterable[np.ndarray], polish: Polish) -> Findings:
     """Return what the other finalists of the search, (4, 4) transforms, say about the winner."""
     agreement = comparison.agreement(winner)
-    rivals = [_rival(comparison, winner, agreement, other) for other in others]
-    return Findings(agreement, tuple(rival for rival in rivals if rival.displacement > SAME))
+    return Findings(agreement, tuple(_rivals(comparison, winner, agreement, others, polish)))
 
 
 def exchanged(findings: Findings, winner: np.ndarray) -> Findings:
@@ -147,9 +152,12 @@ def probe(
     starts = symmetries(winner, *overlap)
     # as they are too: at wide distances, what fits by little of what it shows shrinks onto that
     moved = np.concatenate(
-        [competing(comparison, starts, refine, estimate_scale=free) for free in sorted({estimate_scale, False})]
+        [_competing(comparison, starts, refine, estimate_scale=free) for free in sorted({estimate_scale, False})]
     )
-    flipped = _mirrored(comparison, winner, overlap, refine, estimate_scale=estimate_scale)
+    source, target = comparison.sides
+    clouds = source.points @ winner[:3, :3].T + winner[:3, 3], target.points
+    flipped = mirrors(winner, *overlap, clouds, comparison.cell)
+    flipped = _competing(comparison, flipped, refine, estimate_scale=estimate_scale)[:MOST_MIRRORED]
     distances = *WIDE_DISTANCES[2:], *FINE_DISTANCES
     resized = refined(comparison, scales(winner, overlap[0]), distances, refine, estimate_scale=False)
     return Probes(
@@ -160,28 +168,17 @@ def probe(
     )
 
 
-def competing(comparison: Comparison, moved: np.ndarray, refine: Refine, *, estimate_scale: bool) -> np.ndarray:
-    """Refine (H, 4, 4) transforms that may fit as well as a winner."""
-    return refined(comparison, moved, (*WIDE_DISTANCES, *FINE_DISTANCES), refine, estimate_scale=estimate_scale)
-
-
 def probed(
-    comparison: Comparison, winner: np.ndarray, findings: Findings, probes: Probes | None, others: np.ndarray
+    comparison: Comparison, winner: np.ndarray, findings: Findings, probes: Probes | None, polish: Polish
 ) -> Findings:
-    """Return the findings with those of probes added.
-
-    The other finalists (N, 4, 4) compete once more, refined as the probes are: what the search left them at is chance.
-    """
+    """Return the findings with those of probes added."""
     if probes is None:
         return replace(findings, half_shift=float('inf'), imprecision=float('inf'))
-    moved = np.concatenate([probes.moved, others])
-    moved = np.array([other for other in moved if _apart(comparison, winner, other) > SAME]).reshape(-1, 4, 4)
-    agreement = findings.agreement
-    moved = moved[_ranked(comparison, moved, SOME)[:MOST_RIVALS]]
-    rivals = [_rival(comparison, winner, agreement, other) for other in moved]
+    moved = np.array([other for other in probes.moved if _apart(comparison, winner, other) > SAME]).reshape(-1, 4, 4)
+    moved = _different(comparison, moved, SOME, MOST_RIVALS, RIVALS_APART)
     return replace(
         findings,
-        rivals=(*findings.rivals, *rivals),
+        rivals=(*findings.rivals, *_rivals(comparison, winner, findings.agreement, moved, polish)),
         scale_curve=probes.scale_curve,
         mirrored=probes.mirrored,
         half_shift=probes.half_shift,
@@ -189,33 +186,25 @@ def probed(
     )
 
 
-def _mirrored(
-    comparison: Comparison,
-    winner: np.ndarray,
-    overlap: tuple[np.ndarray, np.ndarray, np.ndarray],
-    refine: Refine,
-    *,
-    estimate_scale: bool,
+def _competing(comparison: Comparison, moved: np.ndarray, refine: Refine, *, estimate_scale: bool) -> np.ndarray:
+    """Return the best of (H, 4, 4) transforms that may fit as well as a winner, refined round by round."""
+    for distances, points, most in ROUNDS:
+        moved = refined(comparison, moved, distances, refine, estimate_scale=estimate_scale)
+        moved = _different(comparison, moved, points, most)
+    return moved
+
+
+def _different(
+    comparison: Comparison, transforms: np.ndarray, points: int, count: int, apart: float = 1.0
 ) -> np.ndarray:
-    """Return the transforms (H, 4, 4) under which the mirrored source fits best."""
-    source, target = comparison.sides
-    moved = source.points @ winner[:3, :3].T + winner[:3, 3]
-    flipped = mirrors(winner, *overlap, (moved, target.points), comparison.cell)
-    for distances, points, most in MIRRORED:
-        flipped = refined(comparison, flipped, distances, refine, estimate_scale=estimate_scale)
-        flipped = _different(comparison, flipped, points, most)
-    return flipped
-
-
-def _different(comparison: Comparison, transforms: np.ndarray, points: int, count: int) -> np.ndarray:
-    """Return the ``count`` best of (H, 4, 4) transforms that are a cell apart, as so many points tell."""
+    """Return the ``count`` best of (H, 4, 4) transforms that are so many cells apart, as so many points tell."""
     source = comparison.sides[0]
     probe = source.points[source.sample[:PROBES]]
     ends = probe @ transforms[:, :3, :3].transpose(0, 2, 1) + transforms[:, None, :3, 3]
     kept: list[int] = []
     for number in _ranked(comparison, transforms, points):
         offsets = ((ends[kept] - ends[number]) ** 2).sum(2).mean(1)
-        if (offsets > comparison.cell**2).all():
+        if (offsets > (apart * comparison.cell) ** 2).all():
             kept.append(number)
         if len(kept) == count:
             break
@@ -224,7 +213,7 @@ def _different(comparison: Comparison, transforms: np.ndarray, points: int, coun
 
 def _ranked(comparison: Comparison, transforms: np.ndarray, points: int) -> np.ndarray:
     """Return the order of (H, 4, 4) transforms, best first, as so many points tell."""
-    return np.argsort([comparison.agreement(transform, points).score for transform in transforms])[::-1]
+    return np.argsort(comparison.scores(transforms, points))[::-1]
 
 
 def refined(
@@ -241,6 +230,16 @@ def refined(
         some = tuple(side.sample[:SOME] for side in comparison.sides)
         moved = refine(moved, _grids(comparison, 'grid'), some, fine, estimate_scale=estimate_scale)
     return moved
+
+
+def polished(comparison: Comparison, transform: np.ndarray, refine: Refine, *, estimate_scale: bool) -> np.ndarray:
+    """Refine a (4, 4) transform until what all witnesses say no longer changes.
+
+    Of one place the end is the same but for some hundredths of a cell, wherever in it the search has stopped.
+    """
+    samples = tuple(side.sample for side in comparison.sides)
+    lengths, grids = _lengths(POLISH, comparison.cell), _grids(comparison, 'grid')
+    return refine(transform[None], grids, samples, lengths, estimate_scale=estimate_scale, iterations=POLISHED)[0]
 
 
 def half_shifts(
@@ -278,6 +277,18 @@ def half_shifts(
         shifts.append(_displacement(ends[0], ends[1], shared) / cell)
         shares.append(_displacement(ends[0], ends[1], whole) / radius)
     return float(np.median(shifts)), float(np.median(shares))
+
+
+def _rivals(
+    comparison: Comparison, winner: np.ndarray, agreement: Agreement, others: Iterable[np.ndarray], polish: Polish
+) -> Iterator[Rival]:
+    """Yield what competes with a winner, polished as that is: what leads back to it does not."""
+    for other in others:
+        rival = _rival(comparison, winner, agreement, other)
+        if rival.ratio > WORTH:
+            rival = _rival(comparison, winner, agreement, polish(other))
+        if rival.displacement > SAME:
+            yield rival
 
 
 def _rival(comparison: Comparison, winner: np.ndarray, agreement: Agreement, other: np.ndarray) -> Rival:

@@ -16,21 +16,23 @@ from csgm_ros.types import NormalizedPair, Similarity, Surface, Verdict
 from csgm_ros.verification.decide import Units, decide, within_bounds
 from csgm_ros.verification.evidence import Evidence, measure
 from csgm_ros.verification.findings import (
-    SAME_DISTANCES,
     Findings,
+    Polish,
     Probes,
     Refine,
     compared,
-    competing,
     exchanged,
+    polished,
     probe,
     probed,
-    refined,
 )
 from csgm_ros.verification.free_space import seen_through
 from csgm_ros.verification.surfaces import normal_angle, surface
 
 SAME_SCALE = 0.35  # |log ratio| up to which two scales share a comparison
+AS_GOOD = (
+    0.75  # of the evidence of a refinement's end, with which the one that all lead to is believed: the best is chance
+)
 MOST_COMPARED = 12  # finalists that a winner is compared with
 
 Viewpoints = tuple[np.ndarray | None, np.ndarray | None]
@@ -55,8 +57,8 @@ class View:
     pair : NormalizedPair
     measured : list of Evidence
         What the verdict compares a transform with, over all attempts at this smoothing.
-    settled : dict of bytes to list of Evidence
-        What the final ICP made of a matrix.
+    refined : dict of (str, bytes) to Evidence
+        What a refinement, by its name, made of a matrix.
     rivals : list of (Similarity, float)
         What the last verdict compared with, and how well each fitted beside the winner; best first.
     """
@@ -74,13 +76,13 @@ class View:
     ):
         self.pair = pair
         self.measured: list[Evidence] = []
-        self.settled: dict[bytes, list[Evidence]] = {}
+        self.refined: dict[tuple[str, bytes], Evidence] = {}
         self.rivals: list[tuple[Similarity, float]] = []
         self._config, self._rng, self._refine = config, rng, refine
         self._viewpoints, self._smoothed, self._look = viewpoints, smoothed, look
         self._comparisons: dict[int, Comparison] = {}
         self._probes: dict[bytes, Probes | None] = {}
-        self._competing: dict[tuple[float, bytes], np.ndarray] = {}
+        self._polished: dict[tuple[int, bytes], np.ndarray] = {}
 
     @cached_property
     def surfaces(self) -> tuple[Surface, Surface]:
@@ -108,13 +110,17 @@ class View:
         comparison, scale = self.comparison(transform.scale)
         return comparison.agreement(_reduced(transform, scale)).evidence
 
-    def refined(self, transform: Similarity) -> Similarity:
-        """Return a transform after a short ICP with distances in lengths of the structure."""
+    def polished(self, transform: Similarity) -> Similarity:
+        """Return a transform after an ICP of all witnesses, to convergence: of one place, the same whatever led there.
+
+        Or as it was, where they do not hold it.
+        """
         comparison, scale = self.comparison(transform.scale)
-        scaled = self._config.scale.estimate_scale
-        start = _reduced(transform, scale)[None]
-        found = refined(comparison, start, SAME_DISTANCES, self._refine, estimate_scale=scaled)[0]
-        return Similarity.from_matrix(found @ np.diag([scale, scale, scale, 1.0]))
+        start = _reduced(transform, scale)
+        end = self._polish(comparison)(start)
+        if comparison.agreement(end).evidence < AS_GOOD * comparison.agreement(start).evidence:
+            return transform
+        return Similarity.from_matrix(end @ np.diag([scale, scale, scale, 1.0]))
 
     def judge(self, best: Evidence) -> Verdict:
         """Return the verdict on a transform, all that was measured before competing with it."""
@@ -123,7 +129,7 @@ class View:
         findings = self.compared(best.transform, transforms)
         self._look()
         if self._decided(best, findings).accepted:
-            findings = self.probed(best.transform, transforms, findings)
+            findings = self.probed(best.transform, findings)
         self.rivals = self._unreduced(findings, best.transform.scale)
         verdict = self._decided(best, findings)
         return replace(verdict, inlier_rmse=verdict.inlier_rmse * self._units(best).length)
@@ -132,28 +138,32 @@ class View:
         """Return what other transforms and the viewpoints say about one between the normalised clouds."""
         comparison, scale = self.comparison(transform.scale)
         self._look()
-        findings = compared(comparison, _reduced(transform, scale), [_reduced(other, scale) for other in others])
+        starts = (_reduced(other, scale) for other in others)
+        findings = compared(comparison, _reduced(transform, scale), starts, self._polish(comparison))
         return replace(findings, seen_through=self._seen_through(transform))
 
-    def probed(self, transform: Similarity, others: Iterable[Similarity], findings: Findings) -> Findings:
-        """Return the findings with those of probes added, see :func:`csgm_ros.verification.findings.probed`.
-
-        A winner mostly stays what it is whatever another source adds, and so do most of those that compete with it:
-        each is probed once.
-        """
+    def probed(self, transform: Similarity, findings: Findings) -> Findings:
+        """Return the findings with those of probes added; a winner is probed once."""
         comparison, scale = self.comparison(transform.scale)
         winner, key = _reduced(transform, scale), transform.matrix.tobytes()
-        how: dict[str, bool] = {'estimate_scale': self._config.scale.estimate_scale}
         if key not in self._probes:
-            self._probes[key] = probe(comparison, winner, findings.agreement, self._looking, **how)
-        rivals = []
-        for other in others:
-            place = scale, other.matrix.tobytes()
-            if place not in self._competing:
-                start = _reduced(other, scale)[None]
-                self._competing[place] = competing(comparison, start, self._looking, **how)[0]
-            rivals.append(self._competing[place])
-        return probed(comparison, winner, findings, self._probes[key], np.array(rivals).reshape(-1, 4, 4))
+            self._probes[key] = probe(comparison, winner, findings.agreement, self._looking, **self._how)
+        return probed(comparison, winner, findings, self._probes[key], self._polish(comparison))
+
+    def _polish(self, comparison: Comparison) -> Polish:
+        """Return what polishes a transform, once."""
+
+        def polish(start: np.ndarray) -> np.ndarray:
+            key = id(comparison), start.tobytes()
+            if key not in self._polished:
+                self._polished[key] = polished(comparison, start, self._looking, **self._how)
+            return self._polished[key]
+
+        return polish
+
+    @property
+    def _how(self) -> dict[str, bool]:
+        return {'estimate_scale': self._config.scale.estimate_scale}
 
     def _looking(self, *asked, **options) -> np.ndarray:
         """Refine, once there was a look at the clock."""

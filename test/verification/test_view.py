@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 from scenes import ball, box, error, random_rotation, random_similarity, rectangle, room
+from scipy.spatial.transform import Rotation
 
 from csgm_ros.config import profile, replaced
 from csgm_ros.scale import normalizations
 from csgm_ros.transform.refinement import refine_between, refine_finalists
 from csgm_ros.types import NormalizedPair, Similarity
+from csgm_ros.verification import findings
 from csgm_ros.verification.view import View
 
 CONFIG = profile()
@@ -229,11 +231,45 @@ def test_the_noisier_the_clouds_the_less_exact_is_what_they_say_whichever_is_the
         clouds = ROOM[0][ROOM[0][:, 0] < 2.0], ROOM[1] + rng.normal(scale=noise * TRUTH.scale, size=ROOM[1].shape)
         view = view_of(clouds[::-1] if exchanged else clouds)
         transform = normal(TRUTH.inverse() if exchanged else TRUTH, view)
-        return view.probed(transform, [], view.compared(transform, [])).imprecision
+        return view.probed(transform, view.compared(transform, [])).imprecision
 
     fine, coarse = imprecision(0.002), imprecision(0.03)
     assert fine < 0.005
     assert coarse > 3.0 * fine
+
+
+def nearby(transform, count):
+    """Transforms of which each ends its ICP in another place: up to a cell and two degrees beside one."""
+    rng = np.random.default_rng(6)
+    for _ in range(count):
+        turn = Rotation.from_rotvec(np.radians(rng.uniform(-2.0, 2.0, 3))).as_matrix()
+        yield transform @ Similarity(float(np.exp(rng.normal(scale=0.01))), turn, rng.normal(scale=0.01, size=3))
+
+
+def test_wherever_the_search_has_stopped_the_polished_transform_is_the_same():
+    noise = np.random.default_rng(7).normal(scale=0.02, size=ROOM[0].shape)
+    view = view_of((ROOM[0] + noise, ROOM[1]))
+    starts = list(nearby(normal(TRUTH, view), 6))
+    points, cell = view.pair.normalized[0], view.comparison(starts[0].scale)[0].cell
+    first, *ends = (view.polished(start) for start in starts)
+    assert min(start.displacement(starts[0], points) for start in starts[1:]) > 0.2 * cell
+    assert max(end.displacement(first, points) for end in ends) < 0.04 * cell
+
+
+def test_scores_of_many_transforms_at_a_time_are_those_of_each(room_view):
+    comparison, _ = room_view.comparison(1.0)
+    transforms = np.array([transform.matrix for transform in (normal(TRUTH, room_view), *wrong_ones(4))])
+    singly = [comparison.agreement(transform, 300).score for transform in transforms]
+    assert max(singly) > 0.005
+    np.testing.assert_allclose(comparison.scores(transforms, 300), singly, atol=1e-12)
+
+
+def test_what_leads_back_to_the_winner_does_not_compete_with_it(seen, monkeypatch):
+    monkeypatch.setattr(findings, 'WORTH', 0.0)  # else a room so clear leaves nothing to lead back
+    view, truth = seen
+    others = [truth @ Similarity(1.0, np.eye(3), offset) for offset in 0.08 * np.eye(3)]
+    assert not view.compared(truth, others).rivals
+    assert view.compared(truth, [*others, *wrong_ones(1)]).rivals
 
 
 # ---- thresholds
