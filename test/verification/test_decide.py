@@ -77,6 +77,8 @@ def test_what_nothing_speaks_against_is_accepted(given, said):
         (findings(found(1.4)), 'a different transform'),  # better than the winner itself
         (findings(slid(0.97, 0.6)), 'slides along (1.00, 0.00, 0.00) by 1.2'),
         (findings(slid(0.97, -0.6)), 'by 1.2'),
+        (findings(turned(1.0, 180.0), slid(0.95, 0.6)), 'slides along'),  # which says more, at nearly as much
+        (findings(turned(1.2, 180.0), slid(0.95, 0.6)), 'turned by 180 degrees'),
         (findings(turned(0.9, 180.0, Y)), 'turned by 180 degrees about (0.00, 1.00, 0.00)'),
         (findings(curve=((0.88, 0.9), (1.14, 0.2), (1.25, 0.9))), 'scale not determined, between 8.8 and 12.5'),
         (findings(curve=((0.94, 0.5), (1.06, 1.3), (1.14, 0.4))), 'not settled: it fits 1.30 times as well 1.06 times'),
