@@ -383,7 +383,9 @@ def _best(structures: StructurePair, view: View, config: Config, clock: Clock) -
     if not ladder.finalists:
         best = max(allowed, key=lambda evidence: evidence.score)
         last = _settled(best, view, config, clock)
-        return last if last.score > best.score and _allowed(last.transform, structures) else best
+        best = last if last.score > best.score and _allowed(last.transform, structures) else best
+        end = _polished(best, view)
+        return end if _allowed(end.transform, structures) else best
     score = cache(lambda evidence: view.score(evidence.transform))
     ranks = ladder.scores([evidence.transform.matrix for evidence in allowed])
     likely = _likely(allowed, ranks, ladder)
@@ -395,8 +397,7 @@ def _best(structures: StructurePair, view: View, config: Config, clock: Clock) -
     best = max(filter(fits, allowed), key=score)
     # the correspondence distances of the last ICP may be too wide for what the clouds show
     best = max([best, *filter(fits, [_settled(best, view, config, clock)])], key=score)
-    # which of many ends fits best is chance, and so is how well: where all of them lead is neither
-    end = _once(view, 'polished', best, view.polished)
+    end = _polished(best, view)
     return end if fits(end) else best
 
 
@@ -411,6 +412,11 @@ def _likely(measured: list[Evidence], ranks: np.ndarray, ladder: Ladder) -> np.n
     parts = ladder.finalists.get('parts', ())[:LEADING]
     third = [n for n, one in enumerate(measured) if any(ladder.alike(part, one.transform.matrix) for part in parts)]
     return np.unique(np.concatenate([first, second, third]).astype(int))
+
+
+def _polished(best: Evidence, view: View) -> Evidence:
+    """Return where all ends lead that are near: which of them fits best is chance, and so is how well."""
+    return _once(view, 'polished', best, view.polished)
 
 
 def _settled(best: Evidence, view: View, config: Config, clock: Clock) -> Evidence:
