@@ -174,7 +174,7 @@ def probed(
     """Return the findings with those of probes added."""
     if probes is None:
         return replace(findings, half_shift=float('inf'), imprecision=float('inf'))
-    moved = np.array([other for other in probes.moved if _apart(comparison, winner, other) > SAME]).reshape(-1, 4, 4)
+    moved = np.array([other for other in probes.moved if apart(comparison, winner, other) > SAME]).reshape(-1, 4, 4)
     moved = _different(comparison, moved, SOME, MOST_RIVALS, RIVALS_APART)
     return replace(
         findings,
@@ -195,7 +195,7 @@ def _competing(comparison: Comparison, moved: np.ndarray, refine: Refine, *, est
 
 
 def _different(
-    comparison: Comparison, transforms: np.ndarray, points: int, count: int, apart: float = 1.0
+    comparison: Comparison, transforms: np.ndarray, points: int, count: int, distance: float = 1.0
 ) -> np.ndarray:
     """Return the ``count`` best of (H, 4, 4) transforms that are so many cells apart, as so many points tell."""
     source = comparison.sides[0]
@@ -204,7 +204,7 @@ def _different(
     kept: list[int] = []
     for number in _ranked(comparison, transforms, points):
         offsets = ((ends[kept] - ends[number]) ** 2).sum(2).mean(1)
-        if (offsets > (apart * comparison.cell) ** 2).all():
+        if (offsets > (distance * comparison.cell) ** 2).all():
             kept.append(number)
         if len(kept) == count:
             break
@@ -292,11 +292,11 @@ def _rivals(
 
 
 def _rival(comparison: Comparison, winner: np.ndarray, agreement: Agreement, other: np.ndarray) -> Rival:
-    apart = _apart(comparison, winner, other)
-    return Rival(_ratio(comparison, other, agreement), apart, motion(winner, other, _few(comparison)), other)
+    where = apart(comparison, winner, other)
+    return Rival(_ratio(comparison, other, agreement), where, motion(winner, other, _few(comparison)), other)
 
 
-def _apart(comparison: Comparison, winner: np.ndarray, other: np.ndarray) -> float:
+def apart(comparison: Comparison, winner: np.ndarray, other: np.ndarray) -> float:
     """Return the RMS displacement in cells between two (4, 4) transforms."""
     return _displacement(winner, other, _few(comparison)) / comparison.cell
 

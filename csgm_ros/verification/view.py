@@ -20,6 +20,7 @@ from csgm_ros.verification.findings import (
     Polish,
     Probes,
     Refine,
+    apart,
     compared,
     exchanged,
     polished,
@@ -33,6 +34,7 @@ SAME_SCALE = 0.35  # |log ratio| up to which two scales share a comparison
 AS_GOOD = (
     0.75  # of the evidence of a refinement's end, with which the one that all lead to is believed: the best is chance
 )
+THERE = 0.002  # cells
 MOST_COMPARED = 12  # finalists that a winner is compared with
 
 Viewpoints = tuple[np.ndarray | None, np.ndarray | None]
@@ -113,12 +115,13 @@ class View:
     def polished(self, transform: Similarity) -> Similarity:
         """Return a transform after an ICP of all witnesses, to convergence: of one place, the same whatever led there.
 
-        Or as it was, where they do not hold it.
+        Or as it was, where they do not hold it, or it was there already: what is exact stays exact.
         """
         comparison, scale = self.comparison(transform.scale)
         start = _reduced(transform, scale)
         end = self._polish(comparison)(start)
-        if comparison.agreement(end).evidence < AS_GOOD * comparison.agreement(start).evidence:
+        held = comparison.agreement(end).evidence >= AS_GOOD * comparison.agreement(start).evidence
+        if not held or apart(comparison, start, end) < THERE:
             return transform
         return Similarity.from_matrix(end @ np.diag([scale, scale, scale, 1.0]))
 
