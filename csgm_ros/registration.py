@@ -398,7 +398,7 @@ def _best(structures: StructurePair, view: View, config: Config, clock: Clock) -
     # the correspondence distances of the last ICP may be too wide for what the clouds show
     best = max([best, *filter(fits, [_settled(best, view, config, clock)])], key=score)
     end = _polished(best, view)
-    return end if fits(end) else best
+    return end if fits(end) or (score(end) > score(best) and _allowed(end.transform, structures)) else best
 
 
 def _likely(measured: list[Evidence], ranks: np.ndarray, ladder: Ladder) -> np.ndarray:
