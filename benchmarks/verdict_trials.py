@@ -275,13 +275,14 @@ def swapped(case: Case) -> Case:
 def judged(case: Case, trials: Iterable[Trial], view: View) -> list[dict]:
     """Return everything that is found out about the winners of one case.
 
-    The winners are polished as those of the search are. Probed is what would be accepted otherwise, be one of the
+    Planted winners are polished, as those of the search are already. Probed is what would be accepted otherwise, be one of the
     thresholds as loose as any that is looked at: probes find what speaks against a transform, so that all others are
     rejected with them and without.
     """
     rows = []
     for trial in trials:
-        inner = view.polished(normal(view, trial.winner))
+        inner = normal(view, trial.winner)
+        inner = view.polished(inner) if trial.setting in PLANTED else inner
         others = [normal(view, other) for other in trial.others]
         view.comparison(inner.scale)  # made but once for a pair
         start = time.process_time()
