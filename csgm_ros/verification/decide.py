@@ -25,8 +25,7 @@ LOGISTIC = (-2.9, 1.4)  # bias, and slope over the margin in its own uncertainty
 STEEP = 12.0  # logarithm of a score, per radius: a cell off, of some twenty, a fit is worth half
 INEXACT = 2.0  # the margin with which a place is believed whose pose is not exact
 LACKING, CONTRADICTED, AMBIGUOUS = 0.02, 0.1, 0.5  # most confidence in what is rejected, by why
-CLEAR = 20.0  # logarithm of the margin, in its own uncertainty, from which what fits mirrored too is no chance, ...
-SYMMETRIC = 1.1  # ... and how well that may fit; a mirror image fits twice as well as what is taken for it
+CLEAR = 20.0  # logarithm of the margin, in its own uncertainty, from which what fits mirrored too is no chance
 SAYS_MORE = 1.15  # times as well a turn must fit as a slide, to be told of first: one wall slides, and is turned by 180
 NOTHING = 0.05  # the least score, relative to the winner's, that something different has
 NEARBY = 6.0  # cells of displacement up to which a transform is the same but for bent clouds and noise ...
@@ -73,7 +72,7 @@ def most_mirrored(findings: Findings, limits: VerificationConfig) -> float:
     """
     deviation = _deviation(findings)
     symmetric = np.log(margin(findings)) >= CLEAR * deviation
-    return limits.max_mirrored * (SYMMETRIC if symmetric else float(np.exp(-deviation)))
+    return limits.max_mirrored * (1.0 if symmetric else float(np.exp(-deviation)))
 
 
 def _deviation(findings: Findings) -> float:
