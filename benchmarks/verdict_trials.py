@@ -275,9 +275,9 @@ def swapped(case: Case) -> Case:
 def judged(case: Case, trials: Iterable[Trial], view: View) -> list[dict]:
     """Return everything that is found out about the winners of one case.
 
-    Planted winners are polished, as those of the search are already. Probed is what would be accepted otherwise, be one of the
-    thresholds as loose as any that is looked at: probes find what speaks against a transform, so that all others are
-    rejected with them and without.
+    Planted winners are polished, as those of the search are already. Probed is what would be accepted otherwise, be one
+    of the thresholds as loose as any that is looked at: probes find what speaks against a transform, so that all others
+    are rejected with them and without.
     """
     rows = []
     for trial in trials:
