@@ -22,8 +22,6 @@ SAME_AXIS = 0.95  # cosine from which two directions are one
 OTHER_SCALE = 0.1  # |log factor| from which another scale is another answer
 MIN_INLIERS = 20
 LOGISTIC = (-2.9, 1.4)  # bias, and slope over the margin in its own uncertainty; other terms added nothing
-STEEP = 12.0  # logarithm of a score, per radius: a cell off, of some twenty, a fit is worth half
-INEXACT = 2.0  # the margin with which a place is believed whose pose is not exact
 LACKING, CONTRADICTED, AMBIGUOUS = 0.02, 0.1, 0.5  # most confidence in what is rejected, by why
 CLEAR = 20.0  # logarithm of the margin, in its own uncertainty, from which what fits mirrored too is no chance
 SAYS_MORE = 1.15  # times as well a turn must fit as a slide, to be told of first: one wall slides, and is turned by 180
@@ -54,14 +52,11 @@ def margin(findings: Findings) -> float:
 
 
 def needed_margin(findings: Findings, limits: VerificationConfig) -> float:
-    """Return the margin that is asked for: the wider, the fewer independent surfaces agree, and the less exactly.
+    """Return the margin that is asked for: the wider, the fewer independent surfaces agree.
 
-    The logarithm of a score that n of them make up is uncertain by about the square root of 1/n, and by what the pose
-    is uncertain by; for that, no more than ``INEXACT`` is asked.
+    The logarithm of a score that n of them make up is uncertain by about the square root of 1/n.
     """
-    deviation, inexact = _deviation(findings), STEEP * min(findings.imprecision, 1.0)
-    few, both = np.exp(limits.min_significance * np.array([deviation, np.hypot(deviation, inexact)]))
-    return float(max(limits.min_margin, few, min(INEXACT, both)))
+    return float(max(limits.min_margin, np.exp(limits.min_significance * _deviation(findings))))
 
 
 def most_mirrored(findings: Findings, limits: VerificationConfig) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from csgm_ros.cloud.agreement import Agreement, Comparison
-from csgm_ros.cloud.witnesses import NEAR, robust_radius
+from csgm_ros.cloud.witnesses import NEAR
 from csgm_ros.types import NearestGrid
 from csgm_ros.verification.probes import SCALES, mirrors, scales, symmetries
 
@@ -91,8 +91,6 @@ class Findings:
     half_shift : float
         RMS displacement of the overlap between refinements on disjoint halves of the structure, cells; infinite where
         there is too little; 0 until probed.
-    imprecision : float
-        The same of all the smaller cloud, relative to its radius.
     seen_through : float
         Share of points that a sensor with known viewpoint has looked through; 0 where none is known.
     """
@@ -102,7 +100,6 @@ class Findings:
     scale_curve: tuple[tuple[float, float], ...] = ()
     mirrored: float = 0.0
     half_shift: float = 0.0
-    imprecision: float = 0.0
     seen_through: float = 0.0
 
 
@@ -115,14 +112,13 @@ class Probes:
     moved : (S, 4, 4) ndarray
         Where its slides and turns ended.
     scale_curve : tuple of (float, float)
-    mirrored, half_shift, imprecision : float
+    mirrored, half_shift : float
     """
 
     moved: np.ndarray
     scale_curve: tuple[tuple[float, float], ...]
     mirrored: float
     half_shift: float
-    imprecision: float
 
 
 def compared(comparison: Comparison, winner: np.ndarray, others: Iterable[np.ndarray], polish: Polish) -> Findings:
@@ -164,7 +160,7 @@ def probe(
         moved,
         tuple((f, _ratio(comparison, m, agreement)) for f, m in zip(SCALES, resized, strict=True)),
         max(_ratio(comparison, m, agreement) for m in flipped),
-        *half_shifts(comparison, winner, overlap[0], refine, estimate_scale=estimate_scale),
+        half_shift(comparison, winner, overlap[0], refine, estimate_scale=estimate_scale),
     )
 
 
@@ -173,7 +169,7 @@ def probed(
 ) -> Findings:
     """Return the findings with those of probes added."""
     if probes is None:
-        return replace(findings, half_shift=float('inf'), imprecision=float('inf'))
+        return replace(findings, half_shift=float('inf'))
     moved = np.array([other for other in probes.moved if apart(comparison, winner, other) > SAME]).reshape(-1, 4, 4)
     moved = _different(comparison, moved, SOME, MOST_RIVALS, RIVALS_APART)
     return replace(
@@ -182,7 +178,6 @@ def probed(
         scale_curve=probes.scale_curve,
         mirrored=probes.mirrored,
         half_shift=probes.half_shift,
-        imprecision=probes.imprecision,
     )
 
 
@@ -242,41 +237,32 @@ def polished(comparison: Comparison, transform: np.ndarray, refine: Refine, *, e
     return refine(transform[None], grids, samples, lengths, estimate_scale=estimate_scale, iterations=POLISHED)[0]
 
 
-def half_shifts(
+def half_shift(
     comparison: Comparison, winner: np.ndarray, overlap: np.ndarray, refine: Refine, *, estimate_scale: bool
-) -> tuple[float, float]:
-    """Return how far refinements on disjoint halves of the structure are apart.
+) -> float:
+    """Return how far refinements on disjoint halves of the structure are apart: RMS over the overlap, in cells.
 
-    The halves are the fields of a checkerboard; the median of several boards counts.
-
-    Returns
-    -------
-    shift : float
-        RMS displacement of the overlap, (I, 3) points in the target's frame, in cells.
-    imprecision : float
-        RMS displacement of the smaller cloud relative to its radius: a cloud that overlaps by little may turn about
-        what it shares.
+    The halves are the fields of a checkerboard; the median of several boards counts. The overlap is (I, 3) points in
+    the target's frame.
     """
     source, target = comparison.sides
     cell = comparison.cell
     places = source.points[source.sample] @ winner[:3, :3].T + winner[:3, 3], target.points[target.sample]
-    radius, smaller = min(((robust_radius(place), place) for place in places), key=lambda side: side[0])
     inverse = np.linalg.inv(winner)
-    shared, whole = (points @ inverse[:3, :3].T + inverse[:3, 3] for points in (overlap, smaller))
-    shifts, shares = [], []
+    shared = overlap @ inverse[:3, :3].T + inverse[:3, 3]
+    shifts = []
     for edge, phase in BOARDS:
         black = [np.floor(place / (edge * cell) + phase).astype(int).sum(1) % 2 == 0 for place in places]
         ends = []
         for half in (black, [~side for side in black]):
             samples = tuple(side.sample[chosen] for side, chosen in zip(comparison.sides, half, strict=True))
             if min(map(len, samples)) < MIN_OVERLAP:
-                return float('inf'), float('inf')
+                return float('inf')
             lengths = _lengths(SAME_DISTANCES, cell)
             grids = _grids(comparison, 'grid')
             ends.append(refine(winner[None], grids, samples, lengths, estimate_scale=estimate_scale)[0])
         shifts.append(_displacement(ends[0], ends[1], shared) / cell)
-        shares.append(_displacement(ends[0], ends[1], whole) / radius)
-    return float(np.median(shifts)), float(np.median(shares))
+    return float(np.median(shifts))
 
 
 def _rivals(
