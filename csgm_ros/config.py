@@ -288,8 +288,8 @@ class VerificationConfig(Checked):
     )
     min_significance: float = param(
         3.0,
-        'logarithm of that over its own uncertainty, below which it is rejected too: the fewer surfaces agree, and the '
-        'less exactly, the more is asked for',
+        'logarithm of that over its own uncertainty, below which it is rejected too: the fewer surfaces agree, the '
+        'more is asked for',
         low=0.0,
         high=100.0,
     )
