@@ -21,7 +21,7 @@ Polish = Callable[[np.ndarray], np.ndarray]
 
 WIDE_DISTANCES, FINE_DISTANCES = (4.0, 2.5, 1.5), (0.75, 0.4)  # cells, of the correspondences of probes
 SAME_DISTANCES = (1.0, 0.5)
-POLISH, POLISHED = (1.0,), 60  # cells, and steps at most, until what all witnesses say no longer changes
+POLISH, POLISHED = (1.5,), 60  # cells, and steps at most, until what all witnesses say no longer changes
 FEW, SOME, PROBES = 400, 700, 60  # points
 MOST_RIVALS, RIVALS_APART = 16, 2.5  # that are measured on all points, of what is probed; cells
 WORTH = 0.3  # of the winner's score, from which a rival is polished: the others leave no doubt
