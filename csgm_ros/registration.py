@@ -458,16 +458,16 @@ def _candidates(
 ) -> Iterator[None]:
     """Propose, search, refine and measure; yield after the hypotheses of each source."""
     grids: tuple[NearestGrid, NearestGrid] | None = None
-    for name in ('prior', *sources) if structures.prior else sources:
+    searched = [name for name in sources if name in structures.ladder.finalists]  # by an earlier attempt
+    if not view.measured:
+        for name in searched:
+            _measure_finalists(name, structures, view, config, rng, clock)
+    others = [name for name in sources if name not in searched]
+    for name in ('prior', *others) if structures.prior else others:
         hypotheses = propose(name, structures, config.hypotheses, rng)
         clock.check()
-        if name in structures.ladder.finalists:  # searched and refined already, in lengths of the structure
-            places = structures.ladder.places(structures.ladder.news(hypotheses, structures.found()))
-            finalists = [Similarity.from_matrix(place[0]) for place in places]
-            if places:  # of the best place, the best on the fine clouds, whatever lengths refine it
-                tried = [*map(Similarity.from_matrix, places[0]), *refine_finalists(places[0], *view.surfaces, config)]
-                finalists[0] = max(tried, key=view.score)
-            view.measured += map(view.measure, finalists)
+        if name in structures.ladder.finalists:
+            _measure_finalists(name, structures, view, config, rng, clock)
         elif len(hypotheses):
             grids = grids or search_grids(structures, config.verification)
             found = search(hypotheses, *grids, config, rng, clock)
@@ -475,6 +475,22 @@ def _candidates(
         clock.check()
         if name != 'prior':  # what it proposes is judged beside what another source does, as it is no evidence
             yield
+    if not others:
+        yield
+
+
+def _measure_finalists(
+    name: str, structures: StructurePair, view: View, config: Config, rng: np.random.Generator, clock: Clock
+) -> None:
+    """Measure what a source has searched for and refined already, in lengths of the structure."""
+    ladder, hypotheses = structures.ladder, propose(name, structures, config.hypotheses, rng)
+    places = ladder.places(ladder.news(hypotheses, structures.found()))
+    finalists = [Similarity.from_matrix(place[0]) for place in places]
+    if places:  # of the best place, the best on the fine clouds, whatever lengths refine it
+        tried = [*map(Similarity.from_matrix, places[0]), *refine_finalists(places[0], *view.surfaces, config)]
+        finalists[0] = max(tried, key=view.score)
+    view.measured += map(view.measure, finalists)
+    clock.check()
 
 
 def narrowed(config: Config, prior: Prior) -> Config:

@@ -73,22 +73,28 @@ class Ladder:
     def best(self, starts: np.ndarray, *, estimate_scale: bool, every_kind: bool = False) -> np.ndarray:
         """Return the best different ones (F, 4, 4) of (H, 4, 4) transforms, best first, refined round by round.
 
-        Those are best that agree well by wide normals, or by every kind of :data:`csgm_ros.transform.flight.NORMALS`.
+        Those are best that agree well by wide normals, and of the better ones, by every kind of
+        :data:`csgm_ros.transform.flight.NORMALS`.
         """
-        kinds = range(len(NORMALS)) if every_kind else range(1)
         gates, samples, most, count = FIRST
         starts = self._refined(starts, gates, samples, estimate_scale=estimate_scale)
         starts = starts[self.distinct(starts, np.argsort(-self.scores(starts, most), kind='stable'), count)]
         self.promising = np.concatenate([self.promising, starts])
-        scores = np.zeros(len(starts))
+        scores, kinds = np.zeros(len(starts)), 1
         for gates, samples, fine, count in ROUNDS:
             refined = self._refined(starts, gates, samples, fine=fine, estimate_scale=estimate_scale)
-            again = np.prod([self.scores(refined, kind=kind) for kind in kinds], axis=0)
+            again = self._agreement(refined, kinds)
             better = again >= scores
             starts, scores = np.where(better[:, None, None], refined, starts), np.maximum(scores, again)
             kept = self.distinct(starts, np.argsort(-scores, kind='stable'), count)
             starts, scores = starts[kept], scores[kept]
+            if every_kind and kinds == 1:  # by then few lengths are left that the clouds must be looked at
+                kinds = len(NORMALS)
+                scores = self._agreement(starts, kinds)
         return starts
+
+    def _agreement(self, transforms: np.ndarray, kinds: int) -> np.ndarray:
+        return np.prod([self.scores(transforms, kind=kind) for kind in range(kinds)], axis=0)
 
     def _refined(
         self, starts: np.ndarray, gates: tuple[float, ...], samples: int, *, fine: bool = False, estimate_scale: bool
