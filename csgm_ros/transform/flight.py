@@ -64,6 +64,10 @@ class Flight:
         points = self._clouds[0]
         return cells(points, working_size(points, WORKING), 2 * WORKING, np.random.default_rng(self._seed))
 
+    @cached_property
+    def _order(self) -> np.ndarray:
+        return np.random.default_rng(self._seed).permutation(len(self.part.points))
+
     def rung(self, scale: float) -> Cells:
         """Return the whole in cells about as large as the part's under a scale."""
         number = _number(scale)
@@ -126,7 +130,7 @@ class Flight:
         """
         scale, part = scale_of(transform), self.part.near(fine=fine)
         whole = self.rung(scale).near(fine=fine)
-        chosen = np.random.default_rng(self._seed).permutation(len(part.points))[:samples]
+        chosen = self._order[:samples]
         others = np.arange(0, len(whole.points), max(1, len(whole.points) // (OTHER_SAMPLES * samples)))
         lengths = tuple(gate * scale * self.part.size for gate in gates)
         found = batch_icp.refine_all(

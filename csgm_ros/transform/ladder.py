@@ -6,11 +6,12 @@ the source as a part of the target, those of large ones the target as a part of 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
 
+from csgm_ros.cloud.kernels import kernel
 from csgm_ros.progress import Look, unhurried
 from csgm_ros.transform.flight import NORMALS, Flight, comparable, scale_of
 
@@ -118,28 +119,21 @@ class Ladder:
         flight, back = self.flight(scale)
         return flight.score(turned(transform, back), most, kind)
 
-    def distinct(self, transforms: np.ndarray, order: Iterable[int], count: int, distance: float = SAME) -> list[int]:
+    def distinct(
+        self, transforms: np.ndarray, order: Sequence[int] | np.ndarray, count: int, distance: float = SAME
+    ) -> list[int]:
         """Return the first ``count`` indices of an order whose (H, 4, 4) transforms differ by ``distance`` cells.
 
         So much they move the part, in cells at the scale of the later one.
         """
-        scales = np.cbrt(np.linalg.det(transforms[:, :3, :3]))
         backs = self.backs(transforms).astype(int)
-        used = np.unique(backs)
-        images = {f: self.flights[f].images(turned(transforms, bool(f))) for f in used}
-        chosen = {f: np.empty((count, *images[f].shape[1:])) for f in used}
-        kept: list[int] = []
-        for h in order:
-            f = backs[h]
-            near = distance * self.flights[f].part.size * (1.0 / scales[h] if f else scales[h])
-            if kept and np.linalg.norm(chosen[f][: len(kept)] - images[f][h], axis=2).mean(1).min() < near:
-                continue
-            for g in used:
-                chosen[g][len(kept)] = images[g][h]
-            kept.append(h)
-            if len(kept) == count:
-                break
-        return kept
+        scales = np.cbrt(np.linalg.det(transforms[:, :3, :3]))
+        images, near = [np.empty((len(transforms), 0, 3))] * 2, np.empty(len(transforms))
+        for f in np.unique(backs):
+            images[f] = self.flights[f].images(turned(transforms, bool(f)))
+            here = backs == f
+            near[here] = distance * self.flights[f].part.size * (1.0 / scales[here] if f else scales[here])
+        return list(_distinct(np.asarray(order, np.int64), backs, near, images[0], images[1], count))
 
     def places(self, transforms: np.ndarray) -> list[np.ndarray]:
         """Return (H, 4, 4) transforms by place, at most ``FINALISTS`` of those, in the order given."""
@@ -162,6 +156,35 @@ class Ladder:
     def alike(self, first: np.ndarray, second: np.ndarray, distance: float = SAME) -> bool:
         """Return whether two (4, 4) transforms move the part to the same place, within ``distance`` cells."""
         return len(self.distinct(np.stack([first, second]), (0, 1), 2, distance)) == 1
+
+
+@kernel
+def _distinct(order, backs, near, first, second, count):
+    """Return of an order the first ``count`` of images (H, P, 3) in two flights that are ``near`` (H,) none before."""
+    kept = np.empty(min(count, len(order)), np.int64)
+    found = 0
+    for h in order:
+        images = second if backs[h] else first
+        most = near[h] * images.shape[1]
+        new = True
+        for k in range(found):
+            apart = 0.0
+            for p in range(images.shape[1]):
+                square = 0.0
+                for axis in range(3):
+                    square += (images[h, p, axis] - images[kept[k], p, axis]) ** 2
+                apart += np.sqrt(square)
+                if apart >= most:
+                    break
+            if apart < most:
+                new = False
+                break
+        if new:
+            kept[found] = h
+            found += 1
+            if found == len(kept):
+                break
+    return kept[:found]
 
 
 def turned(transforms: np.ndarray, back: bool) -> np.ndarray:
