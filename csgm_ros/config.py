@@ -300,7 +300,7 @@ class VerificationConfig(Checked):
         high=10.0,
     )
     max_mirrored: float = param(
-        1.1,
+        1.0,
         'score of the mirrored source, relative to that as it is, above which a result is rejected; '
         'below it too where few surfaces agree',
         low=0.0,

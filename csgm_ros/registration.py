@@ -374,14 +374,14 @@ def _best(structures: StructurePair, view: View, config: Config, clock: Clock) -
     Of those that the prior allows, where there is one; None where it allows none.
 
     Once the clouds have been looked at in lengths of their structure, these say which is best: shares of the clouds and
-    lengths relative to their radii cannot, where one is much larger.
+    lengths relative to their radii cannot, where one is much larger. A cloud too sparse for that leaves it to these.
     """
     ladder = structures.ladder
     allowed = [evidence for evidence in view.measured if _allowed(evidence.transform, structures)]
     if not allowed:
         return None
-    if not ladder.finalists:
-        best = max(allowed, key=lambda evidence: evidence.score)
+    best = max(allowed, key=lambda evidence: evidence.score)
+    if not ladder.finalists or not ladder.sees(best.transform.scale):
         last = _settled(best, view, config, clock)
         best = last if last.score > best.score and _allowed(last.transform, structures) else best
         end = _polished(best, view)
@@ -456,13 +456,14 @@ def _candidates(
     rng: np.random.Generator,
     clock: Clock,
 ) -> Iterator[None]:
-    """Propose, search, refine and measure; yield after the hypotheses of each source."""
+    """Propose, search, refine and measure; yield after each source that has proposed something, and once at least."""
     grids: tuple[NearestGrid, NearestGrid] | None = None
     searched = [name for name in sources if name in structures.ladder.finalists]  # by an earlier attempt
     if not view.measured:
         for name in searched:
             _measure_finalists(name, structures, view, config, rng, clock)
     others = [name for name in sources if name not in searched]
+    judged = False
     for name in ('prior', *others) if structures.prior else others:
         hypotheses = propose(name, structures, config.hypotheses, rng)
         clock.check()
@@ -473,9 +474,10 @@ def _candidates(
             found = search(hypotheses, *grids, config, rng, clock)
             view.measured += map(view.measure, refine_finalists(found, *view.surfaces, config))
         clock.check()
-        if name != 'prior':  # what it proposes is judged beside what another source does, as it is no evidence
+        if len(hypotheses) and name != 'prior':  # judged beside what another source finds: it is no evidence
             yield
-    if not others:
+            judged = True
+    if not judged:
         yield
 
 

@@ -67,6 +67,11 @@ class Ladder:
         back = bool(scale > self.turning)
         return self.flights[back], back
 
+    def sees(self, scale: float) -> bool:
+        """Return whether both clouds show anything at a scale, in cells of the smaller one's structure."""
+        flight, back = self.flight(scale)
+        return comparable(scale) and flight.comparison(1.0 / scale if back else scale) is not None
+
     def backs(self, transforms: np.ndarray) -> np.ndarray:
         """Return which (H,) of (H, 4, 4) transforms see the target as the part."""
         return np.cbrt(np.linalg.det(transforms[:, :3, :3])) > self.turning

@@ -16,12 +16,14 @@ Refine = Callable[..., np.ndarray]
 """``refine(transforms, grids, samples, distances, estimate_scale, iterations)``, see
 :func:`csgm_ros.transform.refinement.refine_between`; verification proposes, but does not know how to refine."""
 
-Polish = Callable[[np.ndarray], np.ndarray]
-"""Of one (4, 4) transform, see :func:`polished`."""
+Polish = Callable[..., np.ndarray]
+"""``polish(transform, scaled=True)`` of one (4, 4) transform, see :func:`polished`; not ``scaled``, at its scale."""
 
 WIDE_DISTANCES, FINE_DISTANCES = (4.0, 2.5, 1.5), (0.75, 0.4)  # cells, of the correspondences of probes
 SAME_DISTANCES = (1.0, 0.5)
 POLISH, POLISHED = (1.5,), 60  # cells, and steps at most, until what all witnesses say no longer changes
+STEPS = np.array((-0.06, -0.03, 0.0, 0.03, 0.06))  # logarithms of the scales about a winner's ...
+AS_WELL = 0.8  # ... that count, so far as they fit better than so many times as well as the best
 FEW, SOME, PROBES = 400, 700, 60  # points
 MOST_RIVALS, RIVALS_APART = 16, 2.5  # that are measured on all points, of what is probed; cells
 WORTH = 0.3  # of the winner's score, from which a rival is polished: the others leave no doubt
@@ -31,6 +33,7 @@ MOST_MIRRORED = 4
 MIN_OVERLAP = 20  # points, below which there is nothing to probe
 BOARDS = ((5.0, 0.0), (5.0, 0.37), (8.0, 0.0), (8.0, 0.37))  # edge in cells and phase of the checkerboards
 SAME_SCALE, SAME_ANGLE = 0.05, 10.0  # |log factor| and degrees up to which a rival only slides
+RESIZED = 0.005, 0.1  # |log factor| between which a rival may be the winner but for its scale
 SAME = 2.5  # cells of RMS displacement up to which two transforms are one
 
 
@@ -227,14 +230,32 @@ def refined(
     return moved
 
 
-def polished(comparison: Comparison, transform: np.ndarray, refine: Refine, *, estimate_scale: bool) -> np.ndarray:
-    """Refine a (4, 4) transform until what all witnesses say no longer changes.
+def polished(comparison: Comparison, transforms: np.ndarray, refine: Refine, *, estimate_scale: bool) -> np.ndarray:
+    """Refine (H, 4, 4) transforms until what all witnesses say no longer changes.
 
     Of one place the end is the same but for some hundredths of a cell, wherever in it the search has stopped.
     """
     samples = tuple(side.sample for side in comparison.sides)
     lengths, grids = _lengths(POLISH, comparison.cell), _grids(comparison, 'grid')
-    return refine(transform[None], grids, samples, lengths, estimate_scale=estimate_scale, iterations=POLISHED)[0]
+    return refine(transforms, grids, samples, lengths, estimate_scale=estimate_scale, iterations=POLISHED)
+
+
+def centred(comparison: Comparison, transform: np.ndarray, refine: Refine) -> np.ndarray:
+    """Return a polished (4, 4) transform at the mean of the scales at which the clouds agree about as well.
+
+    Bent clouds do over some percent, and at which of these an ICP ends is chance. Where one scale alone fits, it stays.
+    """
+    overlap = comparison.overlap(transform)[0]
+    if len(overlap) < MIN_OVERLAP:
+        return transform
+    ends = polished(comparison, scales(transform, overlap, np.exp(STEPS)), refine, estimate_scale=False)
+    ends[STEPS == 0.0] = transform
+    scores = np.array([comparison.agreement(end).evidence for end in ends])
+    weights = np.maximum(scores - AS_WELL * scores.max(), 0.0)
+    step = weights @ STEPS / max(weights.sum(), 1e-12)
+    if step == 0.0:
+        return transform
+    return polished(comparison, scales(transform, overlap, [np.exp(step)]), refine, estimate_scale=False)[0]
 
 
 def half_shift(
@@ -272,9 +293,21 @@ def _rivals(
     for other in others:
         rival = _rival(comparison, winner, agreement, other)
         if rival.ratio > WORTH:
-            rival = _rival(comparison, winner, agreement, polish(other))
-        if rival.displacement > SAME:
+            other = polish(other)
+            rival = _rival(comparison, winner, agreement, other)
+        if rival.displacement > SAME and not _only_resized(comparison, winner, other, polish):
             yield rival
+
+
+def _only_resized(comparison: Comparison, winner: np.ndarray, other: np.ndarray, polish: Polish) -> bool:
+    """Return whether a transform leads to the winner at the winner's scale: its own is for the scale curve to judge."""
+    growth = np.sqrt((winner[:3, 0] ** 2).sum() / (other[:3, 0] ** 2).sum())
+    if not RESIZED[0] < abs(np.log(growth)) <= RESIZED[1]:
+        return False
+    overlap = comparison.overlap(other)[0]
+    if len(overlap) < MIN_OVERLAP:
+        return False
+    return apart(comparison, winner, polish(scales(other, overlap, [growth])[0], scaled=False)) <= SAME
 
 
 def _rival(comparison: Comparison, winner: np.ndarray, agreement: Agreement, other: np.ndarray) -> Rival:

@@ -73,11 +73,11 @@ def mirrors(
     return np.array(found)
 
 
-def scales(transform: np.ndarray, points: np.ndarray) -> np.ndarray:
+def scales(transform: np.ndarray, points: np.ndarray, factors: Iterable[float] = SCALES) -> np.ndarray:
     """Return (F, 4, 4): a (4, 4) transform at other scales about the middle of (I, 3) points of its overlap."""
     centre = points.mean(0)
     found = []
-    for factor in SCALES:
+    for factor in factors:
         change = np.diag([factor, factor, factor, 1.0])
         change[:3, 3] = (1.0 - factor) * centre
         found.append(change @ transform)

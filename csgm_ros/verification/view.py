@@ -21,6 +21,7 @@ from csgm_ros.verification.findings import (
     Probes,
     Refine,
     apart,
+    centred,
     compared,
     exchanged,
     polished,
@@ -84,7 +85,7 @@ class View:
         self._viewpoints, self._smoothed, self._look = viewpoints, smoothed, look
         self._comparisons: dict[int, Comparison] = {}
         self._probes: dict[bytes, Probes | None] = {}
-        self._polished: dict[tuple[int, bytes], np.ndarray] = {}
+        self._polished: dict[tuple[int, bool, bytes], np.ndarray] = {}
 
     @cached_property
     def surfaces(self) -> tuple[Surface, Surface]:
@@ -120,6 +121,8 @@ class View:
         comparison, scale = self.comparison(transform.scale)
         start = _reduced(transform, scale)
         end = self._polish(comparison)(start)
+        if self._config.scale.estimate_scale:
+            end = centred(comparison, end, self._looking)
         held = comparison.agreement(end).evidence >= AS_GOOD * comparison.agreement(start).evidence
         if not held or apart(comparison, start, end) < THERE:
             return transform
@@ -156,10 +159,11 @@ class View:
     def _polish(self, comparison: Comparison) -> Polish:
         """Return what polishes a transform, once."""
 
-        def polish(start: np.ndarray) -> np.ndarray:
-            key = id(comparison), start.tobytes()
+        def polish(start: np.ndarray, *, scaled: bool = True) -> np.ndarray:
+            scaled = scaled and self._config.scale.estimate_scale
+            key = id(comparison), scaled, start.tobytes()
             if key not in self._polished:
-                self._polished[key] = polished(comparison, start, self._looking, **self._how)
+                self._polished[key] = polished(comparison, start[None], self._looking, estimate_scale=scaled)[0]
             return self._polished[key]
 
         return polish
