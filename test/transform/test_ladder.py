@@ -28,3 +28,9 @@ def test_it_does_not_matter_which_is_called_the_source():
     assert forth.flight(1.7)[1] is False  # the source is a part of the target at some of the scales, ...
     assert forth.flight(4.0)[1] is True  # ... and the target of the source at others
     np.testing.assert_allclose(forth.scores(transforms), back.scores(np.linalg.inv(transforms)))
+
+
+def test_a_cloud_with_too_few_surfaces_in_its_cells_is_not_seen():
+    few = hall(1)[:: len(hall(1)) // 40]
+    assert Ladder(view(hall(1)), hall(2), 0).sees(1.0)
+    assert not Ladder(few, hall(2), 0).sees(1.0)

@@ -241,6 +241,34 @@ def test_wherever_the_search_has_stopped_the_polished_transform_is_the_same():
     assert max(end.displacement(first, points) for end in ends) < 0.04 * cell
 
 
+def test_it_takes_the_mean_of_the_scales_at_which_the_clouds_agree_about_as_well(seen):
+    view, truth = seen
+    comparison, scale = view.comparison(truth.scale)
+    winner = truth.matrix @ np.diag([*3 * [1.0 / scale], 1.0])
+    overlap = comparison.overlap(winner)[0]
+    for growth in (0.95, 1.05):
+        start = findings.scales(winner, overlap, [growth])[0]
+        end = findings.centred(comparison, start, refine_between)
+        assert 0.98 < np.cbrt(np.linalg.det(end[:3, :3]) / np.linalg.det(winner[:3, :3])) < 1.02
+
+
+def test_the_winner_at_another_scale_does_not_compete_with_it_and_the_scale_curve_tells_of_it(seen, monkeypatch):
+    monkeypatch.setattr(findings, 'WORTH', 0.0)
+    monkeypatch.setattr(findings, 'SAME', 0.5)  # cells: this room is no larger than twenty
+    view, truth = seen
+    comparison, scale = view.comparison(truth.scale)
+    winner = truth.matrix @ np.diag([*3 * [1.0 / scale], 1.0])
+    resized = findings.scales(winner, comparison.overlap(winner)[0], [1.08])[0]
+    assert findings.apart(comparison, winner, resized) > findings.SAME
+
+    def stays(start, *, scaled=True):
+        return start if scaled else view._polish(comparison)(start, scaled=False)
+
+    found = findings.compared(comparison, winner, [resized], stays)
+    assert not found.rivals
+    assert dict(view.probed(truth, found).scale_curve)[1.06] > 0.0
+
+
 def test_scores_of_many_transforms_at_a_time_are_those_of_each(room_view):
     comparison, _ = room_view.comparison(1.0)
     transforms = np.array([transform.matrix for transform in (normal(TRUTH, room_view), *wrong_ones(4))])
