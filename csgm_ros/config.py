@@ -281,7 +281,7 @@ class VerificationConfig(Checked):
         high=1.0,
     )
     min_margin: float = param(
-        1.9,
+        2.0,
         'score over that of the best different transform, found or probed, below which a result is rejected',
         low=1.0,
         high=100.0,
@@ -294,7 +294,7 @@ class VerificationConfig(Checked):
         high=100.0,
     )
     max_scale_ratio: float = param(
-        0.85,
+        0.75,
         'score at a scale 10 % or more off, relative to that at its own, above which a result is rejected',
         low=0.0,
         high=10.0,

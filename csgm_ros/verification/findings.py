@@ -33,7 +33,8 @@ MOST_MIRRORED = 4
 MIN_OVERLAP = 20  # points, below which there is nothing to probe
 BOARDS = ((5.0, 0.0), (5.0, 0.37), (8.0, 0.0), (8.0, 0.37))  # edge in cells and phase of the checkerboards
 SAME_SCALE, SAME_ANGLE = 0.05, 10.0  # |log factor| and degrees up to which a rival only slides
-RESIZED = 0.005, 0.1  # |log factor| between which a rival may be the winner but for its scale
+DOUBT = 0.5  # of the winner's score, from which it is found out whether a rival is the winner but for its scale ...
+RESIZED = 0.005, 0.1  # ... which it may be between these |log factor|
 SAME = 2.5  # cells of RMS displacement up to which two transforms are one
 
 
@@ -295,8 +296,9 @@ def _rivals(
         if rival.ratio > WORTH:
             other = polish(other)
             rival = _rival(comparison, winner, agreement, other)
-        if rival.displacement > SAME and not _only_resized(comparison, winner, other, polish):
-            yield rival
+        if rival.displacement <= SAME or (rival.ratio > DOUBT and _only_resized(comparison, winner, other, polish)):
+            continue
+        yield rival
 
 
 def _only_resized(comparison: Comparison, winner: np.ndarray, other: np.ndarray, polish: Polish) -> bool:
