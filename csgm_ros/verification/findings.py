@@ -303,7 +303,7 @@ def _rivals(
 
 def _only_resized(comparison: Comparison, winner: np.ndarray, other: np.ndarray, polish: Polish) -> bool:
     """Return whether a transform leads to the winner at the winner's scale: its own is for the scale curve to judge."""
-    growth = np.sqrt((winner[:3, 0] ** 2).sum() / (other[:3, 0] ** 2).sum())
+    growth = np.sqrt(np.divide((winner[:3, 0] ** 2).sum(), (other[:3, 0] ** 2).sum()))
     if not RESIZED[0] < abs(np.log(growth)) <= RESIZED[1]:
         return False
     overlap = comparison.overlap(other)[0]
