@@ -254,6 +254,7 @@ def test_it_takes_the_mean_of_the_scales_at_which_the_clouds_agree_about_as_well
 
 def test_the_winner_at_another_scale_does_not_compete_with_it_and_the_scale_curve_tells_of_it(seen, monkeypatch):
     monkeypatch.setattr(findings, 'WORTH', 0.0)
+    monkeypatch.setattr(findings, 'DOUBT', 0.0)
     monkeypatch.setattr(findings, 'SAME', 0.5)  # cells: this room is no larger than twenty
     view, truth = seen
     comparison, scale = view.comparison(truth.scale)
