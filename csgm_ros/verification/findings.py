@@ -291,14 +291,18 @@ def _rivals(
     comparison: Comparison, winner: np.ndarray, agreement: Agreement, others: Iterable[np.ndarray], polish: Polish
 ) -> Iterator[Rival]:
     """Yield what competes with a winner, polished as that is: what leads back to it does not."""
+    resized: list[np.ndarray] = []  # where the winner is met again at another scale: most of the probes end there
     for other in others:
         rival = _rival(comparison, winner, agreement, other)
         if rival.ratio > WORTH:
             other = polish(other)
             rival = _rival(comparison, winner, agreement, other)
-        if rival.displacement <= SAME or (rival.ratio > DOUBT and _only_resized(comparison, winner, other, polish)):
+        if rival.displacement <= SAME or any(apart(comparison, end, other) <= SAME for end in resized):
             continue
-        yield rival
+        if rival.ratio > DOUBT and _only_resized(comparison, winner, other, polish):
+            resized.append(other)
+        else:
+            yield rival
 
 
 def _only_resized(comparison: Comparison, winner: np.ndarray, other: np.ndarray, polish: Polish) -> bool:
