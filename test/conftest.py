@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from csgm_ros.ros.dds import use_large_buffers
+
 # a busy machine is no failure, and a red run must be red again when it is repeated
 settings.register_profile('csgm', deadline=None, derandomize=True)
 settings.load_profile('csgm')
@@ -26,7 +28,7 @@ def pytest_configure(config):
     os.environ['ROS_DOMAIN_ID'] = lock.name.rpartition('_')[2]
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     # As sensor drivers are told to: with the default transports, what is small comes seconds late beside clouds.
-    os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(Path(__file__).parents[1] / 'config' / 'fastdds.xml')
+    use_large_buffers()
 
 
 def free_domain():
