@@ -458,17 +458,19 @@ def _candidates(
 ) -> Iterator[None]:
     """Propose, search, refine and measure; yield after each source that has proposed something, and once at least."""
     grids: tuple[NearestGrid, NearestGrid] | None = None
-    searched = [name for name in sources if name in structures.ladder.finalists]  # by an earlier attempt
+    finalists = structures.ladder.finalists
+    searched = [name for name in sources if name in finalists]  # by an earlier attempt
     if not view.measured:
         for name in searched:
-            _measure_finalists(name, structures, view, config, rng, clock)
+            _measure_finalists(finalists[name], structures, view, config)
+            clock.check()
     others = [name for name in sources if name not in searched]
     judged = False
     for name in ('prior', *others) if structures.prior else others:
         hypotheses = propose(name, structures, config.hypotheses, rng)
         clock.check()
-        if name in structures.ladder.finalists:
-            _measure_finalists(name, structures, view, config, rng, clock)
+        if name in finalists:
+            _measure_finalists(hypotheses, structures, view, config)
         elif len(hypotheses):
             grids = grids or search_grids(structures, config.verification)
             found = search(hypotheses, *grids, config, rng, clock)
@@ -481,18 +483,15 @@ def _candidates(
         yield
 
 
-def _measure_finalists(
-    name: str, structures: StructurePair, view: View, config: Config, rng: np.random.Generator, clock: Clock
-) -> None:
-    """Measure what a source has searched for and refined already, in lengths of the structure."""
-    ladder, hypotheses = structures.ladder, propose(name, structures, config.hypotheses, rng)
+def _measure_finalists(hypotheses: np.ndarray, structures: StructurePair, view: View, config: Config) -> None:
+    """Measure (F, 4, 4) finalists, which have been searched for and refined already, in lengths of the structure."""
+    ladder = structures.ladder
     places = ladder.places(ladder.news(hypotheses, structures.found()))
-    finalists = [Similarity.from_matrix(place[0]) for place in places]
+    best = [Similarity.from_matrix(place[0]) for place in places]
     if places:  # of the best place, the best on the fine clouds, whatever lengths refine it
         tried = [*map(Similarity.from_matrix, places[0]), *refine_finalists(places[0], *view.surfaces, config)]
-        finalists[0] = max(tried, key=view.score)
-    view.measured += map(view.measure, finalists)
-    clock.check()
+        best[0] = max(tried, key=view.score)
+    view.measured += map(view.measure, best)
 
 
 def narrowed(config: Config, prior: Prior) -> Config:

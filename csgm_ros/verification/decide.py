@@ -16,10 +16,9 @@ import numpy as np
 from csgm_ros.config import ScaleConfig, VerificationConfig
 from csgm_ros.types import Term, Undetermined, Verdict
 from csgm_ros.verification.evidence import Evidence
-from csgm_ros.verification.findings import Findings, Rival
+from csgm_ros.verification.findings import OTHER_SCALE, Findings, Rival
 
 SAME_AXIS = 0.95  # cosine from which two directions are one
-OTHER_SCALE = 0.1  # |log factor| from which another scale is another answer
 MIN_INLIERS = 20
 LOGISTIC = (-2.9, 1.4)  # bias, and slope over the margin in its own uncertainty; other terms added nothing
 LACKING, CONTRADICTED, AMBIGUOUS = 0.02, 0.1, 0.5  # most confidence in what is rejected, by why

@@ -22,8 +22,8 @@ Polish = Callable[..., np.ndarray]
 WIDE_DISTANCES, FINE_DISTANCES = (4.0, 2.5, 1.5), (0.75, 0.4)  # cells, of the correspondences of probes
 SAME_DISTANCES = (1.0, 0.5)
 POLISH, POLISHED = (1.5,), 60  # cells, and steps at most, until what all witnesses say no longer changes
-STEPS = np.array((-0.06, -0.03, 0.0, 0.03, 0.06))  # logarithms of the scales about a winner's ...
-AS_WELL = 0.8  # ... that count, so far as they fit better than so many times as well as the best
+STEPS = np.array((-0.06, -0.03, 0.03, 0.06))  # logarithms of the scales that, like a winner's own, ...
+AS_WELL = 0.8  # ... count so far as they fit better than so many times as well as the best
 FEW, SOME, PROBES = 400, 700, 60  # points
 MOST_RIVALS, RIVALS_APART = 16, 2.5  # that are measured on all points, of what is probed; cells
 WORTH = 0.3  # of the winner's score, from which a rival is polished: the others leave no doubt
@@ -33,8 +33,9 @@ MOST_MIRRORED = 4
 MIN_OVERLAP = 20  # points, below which there is nothing to probe
 BOARDS = ((5.0, 0.0), (5.0, 0.37), (8.0, 0.0), (8.0, 0.37))  # edge in cells and phase of the checkerboards
 SAME_SCALE, SAME_ANGLE = 0.05, 10.0  # |log factor| and degrees up to which a rival only slides
+OTHER_SCALE = 0.1  # |log factor| from which another scale is another answer
 DOUBT = 0.5  # of the winner's score, from which it is found out whether a rival is the winner but for its scale ...
-RESIZED = 0.005, 0.1  # ... which it may be between these |log factor|
+RESIZED = 0.005, OTHER_SCALE  # ... which it may be between these |log factor|
 SAME = 2.5  # cells of RMS displacement up to which two transforms are one
 
 
@@ -249,11 +250,10 @@ def centred(comparison: Comparison, transform: np.ndarray, refine: Refine) -> np
     overlap = comparison.overlap(transform)[0]
     if len(overlap) < MIN_OVERLAP:
         return transform
-    ends = polished(comparison, scales(transform, overlap, np.exp(STEPS)), refine, estimate_scale=False)
-    ends[STEPS == 0.0] = transform
-    scores = np.array([comparison.agreement(end).evidence for end in ends])
+    resized = polished(comparison, scales(transform, overlap, np.exp(STEPS)), refine, estimate_scale=False)
+    scores = np.array([comparison.agreement(end).evidence for end in (transform, *resized)])
     weights = np.maximum(scores - AS_WELL * scores.max(), 0.0)
-    step = weights @ STEPS / max(weights.sum(), 1e-12)
+    step = weights[1:] @ STEPS / max(weights.sum(), 1e-12)
     if step == 0.0:
         return transform
     return polished(comparison, scales(transform, overlap, [np.exp(step)]), refine, estimate_scale=False)[0]

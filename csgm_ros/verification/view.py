@@ -32,9 +32,7 @@ from csgm_ros.verification.free_space import seen_through
 from csgm_ros.verification.surfaces import normal_angle, surface
 
 SAME_SCALE = 0.35  # |log ratio| up to which two scales share a comparison
-AS_GOOD = (
-    0.75  # of the evidence of a refinement's end, with which the one that all lead to is believed: the best is chance
-)
+AS_GOOD = 0.75  # of the evidence of a start, with which the end that all starts lead to is believed: the best is chance
 THERE = 0.002  # cells
 MOST_COMPARED = 12  # finalists that a winner is compared with
 
@@ -153,7 +151,8 @@ class View:
         comparison, scale = self.comparison(transform.scale)
         winner, key = _reduced(transform, scale), transform.matrix.tobytes()
         if key not in self._probes:
-            self._probes[key] = probe(comparison, winner, findings.agreement, self._looking, **self._how)
+            scaled = self._config.scale.estimate_scale
+            self._probes[key] = probe(comparison, winner, findings.agreement, self._looking, estimate_scale=scaled)
         return probed(comparison, winner, findings, self._probes[key], self._polish(comparison))
 
     def _polish(self, comparison: Comparison) -> Polish:
@@ -167,10 +166,6 @@ class View:
             return self._polished[key]
 
         return polish
-
-    @property
-    def _how(self) -> dict[str, bool]:
-        return {'estimate_scale': self._config.scale.estimate_scale}
 
     def _looking(self, *asked, **options) -> np.ndarray:
         """Refine, once there was a look at the clock."""
