@@ -77,14 +77,15 @@ class Comparison:
         planes = min(agrees)
         return Agreement(float(min(shares)), float(min(1.0, planes / self._least)), float(planes), min(inliers))
 
-    def scores(self, transforms: np.ndarray, most: int) -> np.ndarray:
+    def scores(self, transforms: np.ndarray, most: int | None = None) -> np.ndarray:
         """Return the scores (H,) of (H, 4, 4) transforms on ``most`` points of each side, all at once."""
         transforms = np.ascontiguousarray(transforms, float).reshape(-1, 4, 4)
         shares, agrees = [], []
         for matrices, (moving, still), own in zip(
             (transforms, _inverses(transforms)), (self.sides, self.sides[::-1]), self._weights, strict=True
         ):
-            sample, grid = moving.sample[:most], still.grid
+            order, grid = np.argsort(moving.sample[:most]), still.grid
+            sample = moving.sample[order]
             units = (matrices[:, :3, 0] ** 2).sum(1) ** 0.25
             meets, agree = np.empty((2, len(matrices)))
             _meet_all(
@@ -94,7 +95,7 @@ class Comparison:
                 (grid.index, grid.origin, grid.cell, grid.points, grid.normals),
                 (INLIER * self.cell, NEAR * self.cell, still.gap, self._min_cosine),
                 units,
-                own[:most],
+                own[order],
                 meets,
                 agree,
             )

@@ -3,7 +3,8 @@
 The search for the right transform asks for millions of nearest points; a gather answers in nanoseconds where
 a tree needs a microsecond. The answer is the point nearest to the *cell's centre*, so distances are exact for
 that point and too long by at most a cell's diagonal; the final ICP uses exact neighbours. Only blocks of cells that a
-point reaches are kept: a street is mostly air.
+point reaches are kept: a street is mostly air. Points that are asked in the order of their voxels find what they need
+where the one before them has been, in half the time of any other order.
 """
 
 from __future__ import annotations
@@ -61,8 +62,8 @@ def _reached(points, blocks, origin, cell, reach):
 
 
 @kernel(inline=True)
-def _inside(i, j, k):
-    return ((i & BLOCK - 1) << 2 * BITS) | ((j & BLOCK - 1) << BITS) | (k & BLOCK - 1)
+def _inside(i, j):
+    return ((i & BLOCK - 1) << 2 * BITS) | ((j & BLOCK - 1) << BITS)
 
 
 @kernel
@@ -86,7 +87,7 @@ def _fill(points, blocks, nearest, origin, cell, reach):
                 aside = dx * dx + dy * dy
                 if aside >= limit:
                     continue
-                row, place = blocks[i >> BITS, j >> BITS], _inside(i, j, 0)
+                row, place = blocks[i >> BITS, j >> BITS], _inside(i, j)
                 for b in range(first, last):
                     block = row[b]
                     for k in range(BLOCK):  # all of a row without a branch: vector code
@@ -100,17 +101,16 @@ def _fill(points, blocks, nearest, origin, cell, reach):
 def lookup(index, origin, cell, x, y, z):
     """Return the point named by the cell of (x, y, z), -1 outside the grid."""
     blocks, nearest = index
-    i = int(np.floor((x - origin[0]) / cell))
-    j = int(np.floor((y - origin[1]) / cell))
-    k = int(np.floor((z - origin[2]) / cell))
-    if (
-        i < 0
-        or j < 0
-        or k < 0
-        or i >= BLOCK * blocks.shape[0]
-        or j >= BLOCK * blocks.shape[1]
-        or k >= BLOCK * blocks.shape[2]
-    ):
+    per = 1.0 / cell
+    # without a sign: what lies below the origin becomes too large, and no index is counted from the end
+    i = np.uint64(np.int64((x - origin[0]) * per))
+    j = np.uint64(np.int64((y - origin[1]) * per))
+    k = np.uint64(np.int64((z - origin[2]) * per))
+    bits = np.uint64(BITS)
+    a, b, c = i >> bits, j >> bits, k >> bits
+    if a >= np.uint64(blocks.shape[0]) or b >= np.uint64(blocks.shape[1]) or c >= np.uint64(blocks.shape[2]):
         return -1
-    block = blocks[i >> BITS, j >> BITS, k >> BITS]
-    return nearest[block, _inside(i, j, k)] if block >= 0 else -1
+    block = blocks[a, b, c]
+    rest = np.uint64(BLOCK - 1)
+    place = ((i & rest) << (bits + bits)) | ((j & rest) << bits) | (k & rest)
+    return nearest[np.uint64(block), place] if block >= 0 else -1

@@ -64,7 +64,7 @@ class Witnesses:
     @cached_property
     def wide(self) -> NearestGrid:
         """Of some points, within reach of a wide correspondence distance."""
-        some = self.order[: max(3000, len(self.points) // 5)]
+        some = np.sort(self.order[: max(3000, len(self.points) // 5)])
         return nearest_grid.build(self.points[some], self.normals[some], 0.75 * self.cell, WIDE * self.cell)
 
 
@@ -104,7 +104,7 @@ def witnesses(
     """
     means = voxel_means(points, cell / FINE)
     if len(means) > MOST_POINTS:
-        means = means[rng.permutation(len(means))[:MOST_POINTS]]
+        means = means[np.sort(rng.permutation(len(means))[:MOST_POINTS])]
     normals = normals_of(means, min(neighbors, len(means)))
     extent = len(occupied(means, lattice_origin(means, cell), cell)[0]) / CELLS
     count = int(np.clip(SAMPLES * extent, SAMPLES, ASKED))

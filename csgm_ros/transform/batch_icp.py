@@ -50,7 +50,8 @@ def refine_all(
     (H, 4, 4) ndarray
     """
     refined = np.array(transforms, float).reshape(-1, 4, 4)
-    _refine_all(refined, source, target, *samples, np.array(distances), min_cosine, iterations, estimate_scale)
+    ordered = np.sort(samples[0]), np.sort(samples[1])  # as they lie in memory: voxel by voxel
+    _refine_all(refined, source, target, *ordered, np.array(distances), min_cosine, iterations, estimate_scale)
     return refined
 
 

@@ -41,8 +41,9 @@ def scores(
         In [0, 1].
     """
     forth, back = np.empty(len(transforms)), np.empty(len(transforms))
-    chosen_source = source.points[samples[0]], source.normals[samples[0]]
-    chosen_target = target.points[samples[1]], target.normals[samples[1]]
+    first, second = np.sort(samples[0]), np.sort(samples[1])  # as they lie in memory: voxel by voxel
+    chosen_source = source.points[first], source.normals[first]
+    chosen_target = target.points[second], target.normals[second]
     _truncated_linear(*chosen_source, transforms, target, truncation, min_cosine, False, forth)
     _truncated_linear(*chosen_target, _inverses(transforms), source, truncation, min_cosine, True, back)
     return np.minimum(forth, back)

@@ -27,7 +27,7 @@ AS_WELL = 0.8  # ... count so far as they fit better than so many times as well 
 FEW, SOME, PROBES = 400, 700, 60  # points
 MOST_RIVALS, RIVALS_APART = 16, 2.5  # that are measured on all points, of what is probed; cells
 WORTH = 0.3  # of the winner's score, from which a rival is polished: the others leave no doubt
-ROUNDS = ((WIDE_DISTANCES[:1], 350, 48), (WIDE_DISTANCES[1:], SOME, 16), (FINE_DISTANCES, SOME, 16))
+ROUNDS = ((WIDE_DISTANCES[:1], 350, 24), (WIDE_DISTANCES[1:], SOME, 16), (FINE_DISTANCES, SOME, 16))
 """Of probes: correspondence distances, points that tell the best, and how many are kept."""
 MOST_MIRRORED = 4
 MIN_OVERLAP = 20  # points, below which there is nothing to probe
@@ -163,8 +163,8 @@ def probe(
     resized = refined(comparison, scales(winner, overlap[0]), distances, refine, estimate_scale=False)
     return Probes(
         moved,
-        tuple((f, _ratio(comparison, m, agreement)) for f, m in zip(SCALES, resized, strict=True)),
-        max(_ratio(comparison, m, agreement) for m in flipped),
+        tuple(zip(SCALES, map(float, _ratios(comparison, resized, agreement)), strict=True)),
+        float(_ratios(comparison, flipped, agreement).max()),
         half_shift(comparison, winner, overlap[0], refine, estimate_scale=estimate_scale),
     )
 
@@ -224,7 +224,7 @@ def refined(
     fine = _lengths([distance for distance in distances if distance <= NEAR], comparison.cell)
     if wide:
         grids = _grids(comparison, 'wide')
-        few = tuple(np.arange(min(FEW, len(grid.points))) for grid in grids)
+        few = tuple(np.arange(0, len(grid.points), max(1, len(grid.points) // FEW)) for grid in grids)
         moved = refine(moved, grids, few, wide, estimate_scale=estimate_scale)
     if fine:
         some = tuple(side.sample[:SOME] for side in comparison.sides)
@@ -292,17 +292,18 @@ def _rivals(
 ) -> Iterator[Rival]:
     """Yield what competes with a winner, polished as that is: what leads back to it does not."""
     resized: list[np.ndarray] = []  # where the winner is met again at another scale: most of the probes end there
-    for other in others:
-        rival = _rival(comparison, winner, agreement, other)
-        if rival.ratio > WORTH:
+    others = np.array([*others]).reshape(-1, 4, 4)
+    for ratio, other in zip(_ratios(comparison, others, agreement), others, strict=True):
+        if ratio > WORTH:
             other = polish(other)
-            rival = _rival(comparison, winner, agreement, other)
-        if rival.displacement <= SAME or any(apart(comparison, end, other) <= SAME for end in resized):
+            ratio = _ratios(comparison, other, agreement)[0]
+        where = apart(comparison, winner, other)
+        if where <= SAME or any(apart(comparison, end, other) <= SAME for end in resized):
             continue
-        if rival.ratio > DOUBT and _only_resized(comparison, winner, other, polish):
+        if ratio > DOUBT and _only_resized(comparison, winner, other, polish):
             resized.append(other)
         else:
-            yield rival
+            yield Rival(float(ratio), where, motion(winner, other, _few(comparison)), other)
 
 
 def _only_resized(comparison: Comparison, winner: np.ndarray, other: np.ndarray, polish: Polish) -> bool:
@@ -314,11 +315,6 @@ def _only_resized(comparison: Comparison, winner: np.ndarray, other: np.ndarray,
     if len(overlap) < MIN_OVERLAP:
         return False
     return apart(comparison, winner, polish(scales(other, overlap, [growth])[0], scaled=False)) <= SAME
-
-
-def _rival(comparison: Comparison, winner: np.ndarray, agreement: Agreement, other: np.ndarray) -> Rival:
-    where = apart(comparison, winner, other)
-    return Rival(_ratio(comparison, other, agreement), where, motion(winner, other, _few(comparison)), other)
 
 
 def apart(comparison: Comparison, winner: np.ndarray, other: np.ndarray) -> float:
@@ -350,8 +346,8 @@ def motion(winner: np.ndarray, other: np.ndarray, points: np.ndarray) -> Motion 
     return Motion('slide', slide / max(length, 1e-12), length)
 
 
-def _ratio(comparison: Comparison, transform: np.ndarray, agreement: Agreement) -> float:
-    return comparison.agreement(transform).score / max(agreement.score, 1e-12)
+def _ratios(comparison: Comparison, transforms: np.ndarray, agreement: Agreement) -> np.ndarray:
+    return comparison.scores(transforms) / max(agreement.score, 1e-12)
 
 
 def _displacement(first: np.ndarray, second: np.ndarray, points: np.ndarray) -> float:
