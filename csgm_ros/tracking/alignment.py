@@ -152,19 +152,20 @@ def _sums(points, normals, grid, m, gate, min_cosine, pivot, information, gradie
     kernel = (gate / 3.0) ** 2  # Geman-McClure: a residual of a third of the gate counts a quarter
     row = np.empty(6)
     count, close, squares, weights = 0, 0.0, 0.0, 0.0
+    still, still_normals, keys, first, around, table, origin, voxel = grid
     for p in range(len(points)):
         a, b, c = points[p, 0], points[p, 1], points[p, 2]
         x = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]
         y = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3]
         z = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
-        q = nearest(grid, x, y, z)
+        q = nearest(still, keys, first, around, table, origin, voxel, x, y, z)
         if q < 0:
             continue
-        dx, dy, dz = x - grid.points[q, 0], y - grid.points[q, 1], z - grid.points[q, 2]
+        dx, dy, dz = x - still[q, 0], y - still[q, 1], z - still[q, 2]
         squared = dx * dx + dy * dy + dz * dz
         if squared >= gate * gate:
             continue
-        u, v, w = grid.normals[q, 0], grid.normals[q, 1], grid.normals[q, 2]
+        u, v, w = still_normals[q, 0], still_normals[q, 1], still_normals[q, 2]
         if len(normals):
             a, b, c = normals[p, 0], normals[p, 1], normals[p, 2]
             product = (

@@ -95,26 +95,27 @@ def meet(points: np.ndarray, normals: np.ndarray, map_surface: Surface, transfor
 def _meet(points, normals, surface, m, min_cosine, out):
     scale = np.sqrt(m[0, 0] ** 2 + m[1, 0] ** 2 + m[2, 0] ** 2)
     close, near = 0.0, 0
+    still, still_normals, keys, first, around, table, origin, voxel = surface
     for p in range(len(points)):
         a, b, c = points[p, 0], points[p, 1], points[p, 2]
         x = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]
         y = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3]
         z = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
-        q = nearest(surface, x, y, z)
+        q = nearest(still, keys, first, around, table, origin, voxel, x, y, z)
         if q < 0:
             continue
-        dx, dy, dz = x - surface.points[q, 0], y - surface.points[q, 1], z - surface.points[q, 2]
+        dx, dy, dz = x - still[q, 0], y - still[q, 1], z - still[q, 2]
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
-        if distance >= surface.voxel:
+        if distance >= voxel:
             continue
         near += 1
         a, b, c = normals[p, 0], normals[p, 1], normals[p, 2]
         product = (
-            (m[0, 0] * a + m[0, 1] * b + m[0, 2] * c) * surface.normals[q, 0]
-            + (m[1, 0] * a + m[1, 1] * b + m[1, 2] * c) * surface.normals[q, 1]
-            + (m[2, 0] * a + m[2, 1] * b + m[2, 2] * c) * surface.normals[q, 2]
+            (m[0, 0] * a + m[0, 1] * b + m[0, 2] * c) * still_normals[q, 0]
+            + (m[1, 0] * a + m[1, 1] * b + m[1, 2] * c) * still_normals[q, 1]
+            + (m[2, 0] * a + m[2, 1] * b + m[2, 2] * c) * still_normals[q, 2]
         )
         if abs(product) >= min_cosine * scale:
-            close += 1.0 - distance / surface.voxel
+            close += 1.0 - distance / voxel
     n = max(len(points), 1)
     out[0], out[1] = close / n, near / n

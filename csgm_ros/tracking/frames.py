@@ -31,11 +31,14 @@ class Frame:
     counts: np.ndarray
     view: View
 
+    def chosen(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return points and normals (I, 3) of an index array."""
+        return self.points[index], self.normals[index]
+
     def sample(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Return (count, 3) points and normals that stand for the returns, not for the surface that they cover."""
         total = np.cumsum(self.counts)
-        chosen = np.searchsorted(total, (np.arange(count) + 0.5) * (total[-1] / count))
-        return self.points[chosen], self.normals[chosen]
+        return self.chosen(np.searchsorted(total, (np.arange(count) + 0.5) * (total[-1] / count)))
 
 
 def prepared(points: np.ndarray, voxel: float) -> Frame:

@@ -118,10 +118,10 @@ class Localizer:
     def __init__(self, submap: Submap, prepared: PreparedMap, rng: np.random.Generator):
         self._submap, self._map = submap, prepared
         self._near: dict[int, Surface] = {}
-        order = rng.permutation(len(prepared.points))[:MANY]
+        order = nested(rng.permutation(len(prepared.points)), (GLANCE, FEW, MANY))
         self._points, self._normals = prepared.points[order], prepared.normals[order]
         fine = submap.levels[1]
-        order = rng.permutation(len(fine.points))[:OWN]
+        order = nested(rng.permutation(len(fine.points)), (GLANCE, OWN))
         self._own = fine.points[order], fine.normals[order]  # evenly over the surface, as that tells places apart
 
     def best(self, hypotheses: np.ndarray, count: int = 8, *, fixed_scale: bool = False) -> list[Place]:
@@ -263,6 +263,11 @@ class Localizer:
             if not any(self.alike(place.matrix, other.matrix) for other in kept):
                 kept.append(place)
         return kept
+
+
+def nested(order: np.ndarray, counts: Sequence[int]) -> np.ndarray:
+    """Return the first of an index array, sorted from each of the ascending ``counts`` to the next."""
+    return np.concatenate([np.sort(part) for part in np.split(order[: counts[-1]], counts[:-1])])
 
 
 def _ranges(points: np.ndarray, centers: np.ndarray) -> np.ndarray:

@@ -65,15 +65,14 @@ class Odometry:
             self._stamp, self.quality = stamp, 1.0
             return True
         interval = stamp - self._stamp
-        chosen = self._rng.permutation(len(frame.points))[:POINTS]
-        points, normals = frame.points[chosen], frame.normals[chosen]
-        few = points[:COARSE_POINTS], normals[:COARSE_POINTS]
+        drawn = self._rng.permutation(len(frame.points))
+        few, many = (frame.chosen(np.sort(drawn[:count])) for count in (COARSE_POINTS, POINTS))
         starts = self._starts(interval, motion)
         found = scores = None
         coarse, middle, fine = self.model
         found, scores = align_each(*few, coarse, starts, (coarse.voxel, 0.7 * coarse.voxel), iterations=8)
         found, scores = align_each(*few, middle, found, (middle.voxel,), iterations=8)
-        fit = align(points, normals, fine, found[np.argmax(scores)], (1.5 * self._voxel, self._voxel))
+        fit = align(*many, fine, found[np.argmax(scores)], (1.5 * self._voxel, self._voxel))
         self.quality = fit.inliers
         if fit.inliers < 0.35:
             return False

@@ -252,6 +252,7 @@ class Session:
 
     def _laid(self, chosen: np.ndarray, start: np.ndarray) -> Fit:
         """Lay chosen points of the map on what was seen lately, the scale kept."""
+        chosen = np.sort(chosen)
         points, normals = self._level.points[chosen], self._level.normals[chosen]
         return align_through(points, normals, self._odometry.model[1:], start, iterations=5)
 
@@ -261,6 +262,7 @@ class Session:
         Each cloud is scored on the other: points scattered about a surface fit what is larger or nearer better,
         whichever cloud they belong to, so that the two scores err in opposite directions.
         """
+        chosen = np.sort(chosen)
         points, normals = self._level.points[chosen], self._level.normals[chosen]
         inverse, lately = np.linalg.inv(self._place), self._recent[::-SCALE_EVERY][:SCALE_FRAMES]
         center = localization.moved(inverse, points).mean(axis=0)

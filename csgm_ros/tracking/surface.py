@@ -23,8 +23,12 @@ class Surface(NamedTuple):
     ----------
     points, normals : (N, 3) ndarray
         Means of the points and of their normals in each voxel.
-    keys : (N,) int64 ndarray
-        Packed voxel coordinates.
+    keys : (C,) int64 ndarray
+        Packed coordinates of the corners at which eight voxels meet, one of them occupied at least.
+    first : (C + 1,) int32 ndarray
+        Where the occupied ones around each corner begin in ``around``.
+    around : (8 N,) int32 ndarray
+        Their numbers, corner by corner.
     table : (T,) int32 ndarray
         Open-addressing table of indices into ``keys``, -1 where free; T a power of two.
     origin : (3,) ndarray
@@ -35,6 +39,8 @@ class Surface(NamedTuple):
     points: np.ndarray
     normals: np.ndarray
     keys: np.ndarray
+    first: np.ndarray
+    around: np.ndarray
     table: np.ndarray
     origin: np.ndarray
     voxel: float
@@ -48,9 +54,7 @@ def build(points: np.ndarray, normals: np.ndarray, voxel: float, *, oriented: bo
     length = np.linalg.norm(sums, axis=1)
     kept = length > 0.3  # where normals of both signs, or of all directions, cancel there is no surface
     keys, means, sums = keys[kept], means[kept], sums[kept] / length[kept, None]
-    table = np.full(1 << int(2 * len(keys) + 2).bit_length(), -1, np.int32)
-    _index(keys, table)
-    return Surface(means, sums, keys, table, origin, voxel)
+    return Surface(means, sums, *_corners(keys), origin, voxel)
 
 
 @kernel
@@ -78,43 +82,63 @@ def _home(key, mask):
     return (key * np.int64(-7046029254386353131)) >> 32 & mask  # Fibonacci hashing
 
 
+@kernel(inline=True)
+def _corner(n):
+    return np.int64(n >> 2) << 2 * BITS | np.int64(n >> 1 & 1) << BITS | np.int64(n & 1)
+
+
 @kernel
-def _index(keys, table):
+def _corners(voxels):
+    """Return keys, first, around and table of :class:`Surface` for ascending keys (N,) of voxels."""
+    table = np.full(1 << int(np.ceil(np.log2(12.0 * len(voxels) + 2.0))), np.int32(-1), np.int32)
     mask = len(table) - 1
-    for k in range(len(keys)):
-        slot = _home(keys[k], mask)
-        while table[slot] >= 0:
-            slot = (slot + 1) & mask
-        table[slot] = k
+    keys, counts = np.empty(8 * len(voxels), np.int64), np.zeros(8 * len(voxels) + 1, np.int32)
+    of = np.empty((len(voxels), 8), np.int32)
+    count = 0
+    for q in range(len(voxels)):
+        for n in range(8):
+            key = voxels[q] - _corner(n)
+            slot = _home(key, mask)
+            while table[slot] >= 0 and keys[table[slot]] != key:
+                slot = (slot + 1) & mask
+            if table[slot] < 0:
+                table[slot] = count
+                keys[count] = key
+                count += 1
+            of[q, n] = table[slot]
+            counts[table[slot] + 1] += 1
+    first = np.cumsum(counts[: count + 1]).astype(np.int32)
+    around, filled = np.empty(8 * len(voxels), np.int32), first[:-1].copy()
+    for q in range(len(voxels)):
+        for n in range(8):
+            around[filled[of[q, n]]] = q
+            filled[of[q, n]] += 1
+    return keys[:count].copy(), first, around, table
 
 
-@kernel
-def nearest(surface, x, y, z):
-    """Return the index of the surface's point nearest to (x, y, z) in the 8 voxels around it, -1 for none.
+@kernel(inline=True)
+def nearest(points, keys, first, around, table, origin, voxel, x, y, z):
+    """Return the index of a surface's point nearest to (x, y, z) in the 8 voxels around it, -1 for none.
 
-    Whatever lies within half a voxel is found, and nothing from two voxels on.
+    Whatever lies within half a voxel is found, and nothing from two voxels on. What a :class:`Surface` holds is asked
+    for one by one: taken out of it at every point, it would be counted at every point who holds it, for twice the time.
     """
-    points, keys, table, voxel = surface.points, surface.keys, surface.table, surface.voxel
-    x0, y0, z0 = (
-        (x - surface.origin[0]) / voxel - 0.5,
-        (y - surface.origin[1]) / voxel - 0.5,
-        (z - surface.origin[2]) / voxel - 0.5,
-    )
+    x0, y0, z0 = (x - origin[0]) / voxel - 0.5, (y - origin[1]) / voxel - 0.5, (z - origin[2]) / voxel - 0.5
     if x0 < 0.0 or y0 < 0.0 or z0 < 0.0 or x0 >= LIMIT or y0 >= LIMIT or z0 >= LIMIT:
         return -1
-    corner = np.int64(x0) << 2 * BITS | np.int64(y0) << BITS | np.int64(z0)
+    key = np.int64(x0) << 2 * BITS | np.int64(y0) << BITS | np.int64(z0)
     mask = len(table) - 1
+    slot = _home(key, mask)
+    while table[slot] >= 0 and keys[table[slot]] != key:
+        slot = (slot + 1) & mask
+    corner = table[slot]
+    if corner < 0:
+        return -1
     best, least = -1, np.inf
-    for n in range(8):
-        key = corner + (np.int64(n >> 2) << 2 * BITS) + (np.int64(n >> 1 & 1) << BITS) + np.int64(n & 1)
-        slot = _home(key, mask)
-        while table[slot] >= 0:
-            q = table[slot]
-            if keys[q] == key:
-                dx, dy, dz = x - points[q, 0], y - points[q, 1], z - points[q, 2]
-                squared = dx * dx + dy * dy + dz * dz
-                if squared < least:
-                    best, least = q, squared
-                break
-            slot = (slot + 1) & mask
+    for k in range(first[corner], first[corner + 1]):
+        q = around[k]
+        dx, dy, dz = x - points[q, 0], y - points[q, 1], z - points[q, 2]
+        squared = dx * dx + dy * dy + dz * dz
+        if squared < least:
+            best, least = q, squared
     return best

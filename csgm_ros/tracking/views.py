@@ -82,13 +82,14 @@ def _look(points, nearest, farthest):
 
 @kernel
 def _seen(points, m, nearest, farthest, tolerance, told):
+    most = farthest.max() * (1.0 + tolerance)
     for p in range(len(points)):
         a, b, c = points[p, 0], points[p, 1], points[p, 2]
         x = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]
         y = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3]
         z = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
         distance = np.sqrt(x * x + y * y + z * z)
-        if distance < 1e-9:
+        if distance < 1e-9 or distance > most:  # most of a large map is farther than anything seen
             continue
         row, column = _cell(x, y, z, distance)
         if farthest[row, column] == 0.0:
