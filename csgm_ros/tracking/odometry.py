@@ -18,11 +18,11 @@ POINTS, COARSE_POINTS = 2500, 500
 
 
 class Keyframe(NamedTuple):
-    """A frame that stays in the model and its pose in the odometry frame."""
+    """A frame that stays in the model: points and normals (N, 3) in the odometry frame, and the pose there."""
 
-    frame: Frame
+    points: np.ndarray
+    normals: np.ndarray
     matrix: np.ndarray
-    stamp: float
 
 
 class Odometry:
@@ -46,7 +46,7 @@ class Odometry:
 
     def __init__(self, voxel: float, rng: np.random.Generator):
         self._voxel, self._rng = voxel, rng
-        self.keyframes: deque[Keyframe] = deque(maxlen=40)
+        self.keyframes: deque[Keyframe] = deque(maxlen=KEPT)
         self.model: tuple[Surface, ...] = ()
         self._pose: np.ndarray | None = None  # that was given with the last frame
         self.matrix, self.quality, self._stamp = np.eye(4), 0.0, 0.0
@@ -61,7 +61,7 @@ class Odometry:
         motion = None if pose is None or self._pose is None else np.linalg.inv(self._pose) @ pose
         self._pose = pose
         if not self.model:
-            self._keep(frame, stamp)
+            self._keep(frame)
             self._stamp, self.quality = stamp, 1.0
             return True
         interval = stamp - self._stamp
@@ -80,7 +80,7 @@ class Odometry:
         self._velocity, self._interval = moved, interval
         self.matrix, self._stamp, self.fit = fit.matrix, stamp, fit
         if self._differs(frame, fit):
-            self._keep(frame, stamp)
+            self._keep(frame)
         return True
 
     def _starts(self, interval: float, motion: np.ndarray | None) -> np.ndarray:
@@ -98,12 +98,11 @@ class Odometry:
         shift = np.linalg.norm(last[:3, 3])
         return rotation_angle(last[:3, :3]) > 0.1 or shift > 5 * self._voxel or fit.inliers < 0.6
 
-    def _keep(self, frame: Frame, stamp: float) -> None:
-        self.keyframes.append(Keyframe(frame, self.matrix.copy(), stamp))
-        recent = list(self.keyframes)[-KEPT:]
-        parts = [(k.frame.points, k.frame.normals, k.matrix) for k in recent]
-        points = np.concatenate([points @ m[:3, :3].T + m[:3, 3] for points, _, m in parts])
-        normals = np.concatenate([normals @ m[:3, :3].T for _, normals, m in parts])
+    def _keep(self, frame: Frame) -> None:
+        turn, shift = self.matrix[:3, :3].T, self.matrix[:3, 3]
+        self.keyframes.append(Keyframe(frame.points @ turn + shift, frame.normals @ turn, self.matrix.copy()))
+        points = np.concatenate([kept.points for kept in self.keyframes])
+        normals = np.concatenate([kept.normals for kept in self.keyframes])
         fine = surface.build(points, normals, 1.5 * self._voxel)
         middle = surface.build(fine.points, fine.normals, 4 * self._voxel)
         self.model = surface.build(middle.points, middle.normals, 10 * self._voxel), middle, fine

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-FIRST = 0.03  # sigma of a scale that was just found, relative
+FIRST = 0.05  # sigma of a scale that was just found, relative
 LOOK = 20.0  # what one look counts, with all that it has in common with the looks before
 HELD = 0.01  # share of the best score that the outermost scales must lose, for the scale to be seen
 LEAST = 0.004  # sigma below which nothing is believed: the map is not quite a similarity of the scene

@@ -12,7 +12,7 @@ import numpy as np
 from csgm_ros.config import Config, profile
 from csgm_ros.errors import CsgmError, InputError
 from csgm_ros.tracking import frames, localization, maps
-from csgm_ros.tracking.alignment import Fit, align_through
+from csgm_ros.tracking.alignment import Fit, align, align_through
 from csgm_ros.tracking.evidence import Evidence, meet, weigh
 from csgm_ros.tracking.frames import Frame
 from csgm_ros.tracking.localization import scale_of, scaling
@@ -28,6 +28,7 @@ MIN_POINTS = 200
 SAMPLES = 2500
 SCALE_EVERY, SCALE_SAMPLES, SCALE_FRAMES = 5, 1500, 4  # frames between corrections; points of the map, frames asked
 SEEN = 0.8  # of the share on the map of frames that are tracked: beside the map a larger one fits better
+LATELY, BETWEEN = 6, 2  # frames that are laid on the map, and every which one they are
 GAIN = 0.5  # of a correction of the map's place relative to the odometry
 WORSE = 2.5  # times as much may disagree in a single frame as in all that were searched for
 SIMILAR = 0.6  # of what was tracked: closeness at which a place is as good
@@ -243,12 +244,12 @@ class Session:
         chosen = self._rng.permutation(visible)[:SAMPLES]
         fit = self._laid(chosen, inverse)
         gain = GAIN if self._state == TRACKING else 1.0  # a place just found has no past to be steadied by
-        self._place = _between(self._place, np.linalg.inv(fit.matrix), gain)
+        self._place = _between(self._place, self._centred(np.linalg.inv(fit.matrix)), gain)
         self._covariance = self._covariance_of(fit)
         self._since_scaled += 1
         if self._since_scaled >= SCALE_EVERY and len(visible) >= SCALE_SAMPLES:
             self._since_scaled = 0
-            self._correct_scale(chosen[:SCALE_SAMPLES])
+            self._correct_scale()
 
     def _laid(self, chosen: np.ndarray, start: np.ndarray) -> Fit:
         """Lay chosen points of the map on what was seen lately, the scale kept."""
@@ -256,15 +257,25 @@ class Session:
         points, normals = self._level.points[chosen], self._level.normals[chosen]
         return align_through(points, normals, self._odometry.model[1:], start, iterations=5)
 
-    def _correct_scale(self, chosen: np.ndarray) -> None:
-        """Lay the map on what was seen at several scales about what is in view, which stays where it is.
+    def _centred(self, place: np.ndarray) -> np.ndarray:
+        """Return a place half-way to where what was seen lately lies best on the map: neither errs as the other does."""
+        lately, near = self._recent[::-BETWEEN][:LATELY], self._level.near
+        samples = [(frame.sample(SAMPLES // len(lately)), matrix) for _, frame, matrix in lately]
+        points = np.concatenate([localization.moved(matrix, points) for (points, _), matrix in samples])
+        normals = np.concatenate([normals @ matrix[:3, :3].T for (_, normals), matrix in samples])
+        return _between(place, align(points, normals, near, place, (near.voxel,), iterations=5).matrix, 0.5)
+
+    def _correct_scale(self) -> None:
+        """Lay the map on what was seen at several scales about what was in view, which stays where it is.
 
         Each cloud is scored on the other: points scattered about a surface fit what is larger or nearer better,
         whichever cloud they belong to, so that the two scores err in opposite directions.
         """
-        chosen = np.sort(chosen)
-        points, normals = self._level.points[chosen], self._level.normals[chosen]
         inverse, lately = np.linalg.inv(self._place), self._recent[::-SCALE_EVERY][:SCALE_FRAMES]
+        views = [frame.view._replace(matrix=matrix) for _, frame, matrix in lately]
+        visible = np.flatnonzero(np.any([seen(self._level.points, inverse, view, 0.15) > 0 for view in views], axis=0))
+        chosen = np.sort(self._rng.permutation(visible)[:SCALE_SAMPLES])
+        points, normals = self._level.points[chosen], self._level.normals[chosen]
         center = localization.moved(inverse, points).mean(axis=0)
         samples = [(*frame.sample(SCALE_SAMPLES // SCALE_FRAMES), matrix) for _, frame, matrix in lately]
         ours, theirs, shares = np.zeros((3, len(STEPS)))
