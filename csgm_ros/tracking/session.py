@@ -241,8 +241,7 @@ class Session:
         visible = np.flatnonzero(seen(self._level.points, inverse, view, 0.15) > 0)
         if len(visible) < 50:
             return
-        chosen = self._rng.permutation(visible)[:SAMPLES]
-        fit = self._laid(chosen, inverse)
+        fit = self._laid(np.sort(self._rng.permutation(visible)[:SAMPLES]), inverse)
         gain = GAIN if self._state == TRACKING else 1.0  # a place just found has no past to be steadied by
         self._place = _between(self._place, self._centred(np.linalg.inv(fit.matrix)), gain)
         self._covariance = self._covariance_of(fit)
@@ -253,12 +252,11 @@ class Session:
 
     def _laid(self, chosen: np.ndarray, start: np.ndarray) -> Fit:
         """Lay chosen points of the map on what was seen lately, the scale kept."""
-        chosen = np.sort(chosen)
         points, normals = self._level.points[chosen], self._level.normals[chosen]
         return align_through(points, normals, self._odometry.model[1:], start, iterations=5)
 
     def _centred(self, place: np.ndarray) -> np.ndarray:
-        """Return a place half-way to where what was seen lately lies best on the map: neither errs as the other does."""
+        """Return a place half-way to where what was seen lately lies best on the map: the two err differently."""
         lately, near = self._recent[::-BETWEEN][:LATELY], self._level.near
         samples = [(frame.sample(SAMPLES // len(lately)), matrix) for _, frame, matrix in lately]
         points = np.concatenate([localization.moved(matrix, points) for (points, _), matrix in samples])

@@ -54,7 +54,8 @@ def build(points: np.ndarray, normals: np.ndarray, voxel: float, *, oriented: bo
     length = np.linalg.norm(sums, axis=1)
     kept = length > 0.3  # where normals of both signs, or of all directions, cancel there is no surface
     keys, means, sums = keys[kept], means[kept], sums[kept] / length[kept, None]
-    return Surface(means, sums, *_corners(keys), origin, voxel)
+    corners, first, around, table = _corners(keys)
+    return Surface(means, sums, corners, first, around, table, origin, voxel)
 
 
 @kernel
