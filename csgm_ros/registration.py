@@ -184,7 +184,7 @@ def _attempts(
 
 def _likelihood(transform: Similarity, view: View, ladder: Ladder) -> float:
     """Return how far two clouds agree at two lengths of their structure; at one alone, parts of a map do by chance."""
-    at_first = float(ladder.scores([transform.matrix])[0])
+    at_first = float(ladder.scores(transform.matrix[None])[0])
     return at_first * view.score(transform) if at_first else 0.0
 
 
@@ -387,7 +387,7 @@ def _best(structures: StructurePair, view: View, config: Config, clock: Clock) -
         end = _polished(best, view)
         return end if _allowed(end.transform, structures) else best
     score = cache(lambda evidence: view.score(evidence.transform))
-    ranks = ladder.scores([evidence.transform.matrix for evidence in allowed])
+    ranks = ladder.scores(np.array([evidence.transform.matrix for evidence in allowed]))
     likely = _likely(allowed, ranks, ladder)
     place = allowed[max(likely, key=lambda number: ranks[number] * score(allowed[number]))].transform.matrix
 

@@ -65,72 +65,54 @@ class Comparison:
         self._least = min(weights.sum() for weights in self._weights)
         bend = max(side.bend for side in self.sides)
         self._min_cosine = cosine(min(MAX_ANGLE, max(MIN_ANGLE, BENDS * bend)))
+        self._sorted: dict[tuple[int, int | None], tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
 
     def agreement(self, transform: np.ndarray, most: int | None = None) -> Agreement:
         """Measure one (4, 4) transform, on ``most`` points of each side."""
-        shares, agrees, inliers = [], [], []
-        for own, (states, _) in zip(self._weights, self.states(transform, most), strict=True):
-            weights, agree = own[:most], states == AGREES
-            agrees.append(weights[agree].sum())
-            shares.append(agrees[-1] / max(weights[states > FAR].sum(), 1e-12))
-            inliers.append(int(agree.sum()))
-        planes = min(agrees)
-        return Agreement(float(min(shares)), float(min(1.0, planes / self._least)), float(planes), min(inliers))
+        precision, planes, inliers = (values[0] for values in self.measured(transform[None], most))
+        return Agreement(float(precision), float(min(1.0, planes / self._least)), float(planes), int(inliers))
 
     def scores(self, transforms: np.ndarray, most: int | None = None) -> np.ndarray:
-        """Return the scores (H,) of (H, 4, 4) transforms on ``most`` points of each side, all at once."""
-        transforms = np.ascontiguousarray(transforms, float).reshape(-1, 4, 4)
-        shares, agrees = [], []
-        for matrices, (moving, still), own in zip(
-            (transforms, _inverses(transforms)), (self.sides, self.sides[::-1]), self._weights, strict=True
-        ):
-            order, grid = np.argsort(moving.sample[:most]), still.grid
-            sample = moving.sample[order]
-            units = (matrices[:, :3, 0] ** 2).sum(1) ** 0.25
-            meets, agree = np.empty((2, len(matrices)))
-            _meet_all(
-                matrices,
-                moving.points[sample],
-                moving.normals[sample],
-                (grid.index, grid.origin, grid.cell, grid.points, grid.normals),
-                (INLIER * self.cell, NEAR * self.cell, still.gap, self._min_cosine),
-                units,
-                own[order],
-                meets,
-                agree,
-            )
-            shares.append(agree / np.maximum(meets, 1e-12))
-            agrees.append(agree)
-        return np.min(shares, 0) * np.minimum(1.0, np.min(agrees, 0) / self._least)
+        """Return the scores (H,) of (H, 4, 4) transforms on ``most`` points of each side."""
+        precision, planes, _ = self.measured(transforms, most)
+        return precision * np.minimum(1.0, planes / self._least)
 
-    def states(self, transform: np.ndarray, most: int | None = None) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return what each side's sample meets under a (4, 4) transform, and the nearest point there."""
-        found = []
-        back = _inverses(transform[None])[0]
-        for matrix, moving, still in ((transform, *self.sides), (back, *self.sides[::-1])):
-            unit = np.sqrt(np.sqrt((matrix[:3, 0] ** 2).sum()))  # neither cloud's cell counts more than the other's
-            sample = moving.sample[:most]
-            states, near = np.empty(len(sample), np.int8), np.empty(len(sample), np.int64)
-            grid = still.grid
-            _meet(
-                matrix,
-                moving.points[sample],
-                moving.normals[sample],
-                (grid.index, grid.origin, grid.cell, grid.points, grid.normals),
-                (INLIER * self.cell * unit, NEAR * self.cell * unit, still.gap * unit, self._min_cosine * unit**2),
-                states,
-                near,
-            )
-            found.append((states, near))
-        return found
+    def measured(self, transforms: np.ndarray, most: int | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return ``precision``, ``planes`` and ``inliers`` (H,) of :class:`Agreement` of (H, 4, 4) transforms."""
+        transforms = np.ascontiguousarray(transforms, float).reshape(-1, 4, 4)
+        found = np.empty((2, 3, len(transforms)))  # of either side: weights that meet and that agree, points that agree
+        for side, matrices in enumerate((transforms, _inverses(transforms))):
+            points, normals, weights = self._asked(side, most)
+            _meet_all(matrices, points, normals, *self._other(side), weights, *found[side])
+        meets, agrees, inliers = found.transpose(1, 0, 2)
+        return (agrees / np.maximum(meets, 1e-12)).min(0), agrees.min(0), inliers.min(0)
+
+    def _asked(self, side: int, most: int | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return points, normals and weights of a side that are asked, as they lie in memory: voxel by voxel."""
+        if (side, most) not in self._sorted:
+            seen = self.sides[side]
+            order = np.argsort(seen.sample[:most])
+            sample = seen.sample[order]
+            self._sorted[side, most] = seen.points[sample], seen.normals[sample], self._weights[side][order]
+        return self._sorted[side, most]
+
+    def _other(self, side: int) -> tuple[tuple, tuple]:
+        """Return where a side is looked for, and the lengths and the cosine by which it is found."""
+        still = self.sides[1 - side]
+        grid = still.grid
+        return (
+            (grid.index, grid.origin, grid.cell, grid.points, grid.normals),
+            (INLIER * self.cell, NEAR * self.cell, still.gap, self._min_cosine),
+        )
 
     def overlap(self, transform: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the moved source points (I, 3) that agree, the target's normals there, and their weights."""
-        source, target = self.sides
-        states, near = self.states(transform)[0]
+        points, normals, weights = self._asked(0, None)
+        states, near = np.empty(len(points), np.int8), np.empty(len(points), np.int64)
+        _meet(transform, points, normals, *self._other(0), states, near)
         agree = states == AGREES
-        points = source.points[source.sample[agree]] @ transform[:3, :3].T + transform[:3, 3]
-        return points, target.normals[near[agree]], self._weights[0][agree]
+        there = self.sides[1].normals[near[agree]]
+        return points[agree] @ transform[:3, :3].T + transform[:3, 3], there, weights[agree]
 
 
 def _inverses(transforms: np.ndarray) -> np.ndarray:
@@ -143,22 +125,23 @@ def _inverses(transforms: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _meet_all(matrices, points, normals, grid, lengths, units, weights, meets, agrees):
+def _meet_all(matrices, points, normals, grid, lengths, weights, meets, agrees, inliers):
     states, near = np.empty(len(points), np.int8), np.empty(len(points), np.int64)
-    inlier, reach, gap, min_product = lengths
     for h in range(len(matrices)):
-        u = units[h]
-        _meet(matrices[h], points, normals, grid, (inlier * u, reach * u, gap * u, min_product * u**2), states, near)
-        meets[h], agrees[h] = 0.0, 0.0
+        _meet(matrices[h], points, normals, grid, lengths, states, near)
+        meets[h], agrees[h], inliers[h] = 0.0, 0.0, 0.0
         for k in range(len(points)):
             meets[h] += weights[k] * (states[k] > FAR)
             agrees[h] += weights[k] * (states[k] == AGREES)
+            inliers[h] += states[k] == AGREES
 
 
 @kernel
 def _meet(m, points, normals, grid, lengths, states, near):
     index, origin, cell, still, still_normals = grid
-    inlier, reach, gap, min_product = lengths
+    scale = np.sqrt(m[0, 0] ** 2 + m[1, 0] ** 2 + m[2, 0] ** 2)
+    unit = np.sqrt(scale)  # neither cloud's cell counts more than the other's
+    inlier, reach, gap, min_product = lengths[0] * unit, lengths[1] * unit, lengths[2] * unit, lengths[3] * scale
     for k in range(len(points)):
         a, b, c = points[k, 0], points[k, 1], points[k, 2]
         x = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]

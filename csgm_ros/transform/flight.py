@@ -81,18 +81,22 @@ class Flight:
         """Return whether the whole shows surfaces in cells about as large as the part's under a scale."""
         return self.rung(scale).filling >= RESOLVED
 
-    def score(self, transform: np.ndarray, most: int | None = None, kind: int = 0) -> float:
-        """Return how far the clouds agree under a (4, 4) transform, as ``most`` points of each tell.
+    def scores(self, transforms: np.ndarray, most: int | None = None, kind: int = 0) -> np.ndarray:
+        """Return how far the clouds agree (H,) under (H, 4, 4) transforms, as ``most`` points of each tell.
 
-        See :class:`csgm_ros.cloud.agreement.Comparison`; the scale is a :func:`comparable` one, the kind of normals
+        See :class:`csgm_ros.cloud.agreement.Comparison`; the scales are :func:`comparable` ones, the kind of normals
         one of ``NORMALS``.
         """
-        scale = scale_of(transform)
-        comparison = self.comparison(scale, kind)
-        if comparison is None:
-            return 0.0
-        agreement = comparison.agreement(np.diag([*3 * [RUNG ** -_number(scale)], 1.0]) @ transform, most)
-        return agreement.evidence if most or agreement.inliers >= MIN_INLIERS else 0.0
+        scales = np.cbrt(np.linalg.det(transforms[:, :3, :3]))
+        numbers, scores = np.array([_number(scale) for scale in scales]), np.zeros(len(transforms))
+        for number in np.unique(numbers):
+            here = numbers == number
+            comparison = self.comparison(scales[here][0], kind)
+            if comparison is not None:
+                shrunk = np.diag([*3 * [RUNG**-number], 1.0]) @ transforms[here]
+                precision, planes, inliers = comparison.measured(shrunk, most)
+                scores[here] = precision * planes * (inliers >= (0 if most else MIN_INLIERS))
+        return scores
 
     def comparison(self, scale: float, kind: int = 0) -> Comparison | None:
         """Return the clouds on the rung of a scale, the whole shrunk to the part; None where one shows nothing."""

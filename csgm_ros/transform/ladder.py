@@ -6,7 +6,7 @@ the source as a part of the target, those of large ones the target as a part of 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -113,16 +113,15 @@ class Ladder:
             ends[h] = turned(end, back)
         return ends
 
-    def scores(self, transforms: Iterable[np.ndarray], most: int | None = None, kind: int = 0) -> np.ndarray:
-        """Return how far the clouds agree (H,) under (H, 4, 4) transforms, see :meth:`Flight.score`."""
-        return np.array([self._score(transform, most, kind) for transform in transforms])
-
-    def _score(self, transform: np.ndarray, most: int | None, kind: int) -> float:
-        scale = scale_of(transform)
-        if not comparable(scale):
-            return 0.0
-        flight, back = self.flight(scale)
-        return flight.score(turned(transform, back), most, kind)
+    def scores(self, transforms: np.ndarray, most: int | None = None, kind: int = 0) -> np.ndarray:
+        """Return how far the clouds agree (H,) under (H, 4, 4) transforms, see :meth:`Flight.scores`."""
+        transforms = np.asarray(transforms).reshape(-1, 4, 4)
+        backs, scores = self.backs(transforms), np.zeros(len(transforms))
+        known = comparable(np.cbrt(np.linalg.det(transforms[:, :3, :3])))
+        for back, flight in enumerate(self.flights):
+            here = known & (backs == back)
+            scores[here] = flight.scores(turned(transforms[here], bool(back)), most, kind)
+        return scores
 
     def distinct(
         self, transforms: np.ndarray, order: Sequence[int] | np.ndarray, count: int, distance: float = SAME
