@@ -7,7 +7,7 @@ points lie in its plane.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -66,6 +66,12 @@ class Witnesses:
         """Of some points, within reach of a wide correspondence distance."""
         some = np.sort(self.order[: max(3000, len(self.points) // 5)])
         return nearest_grid.build(self.points[some], self.normals[some], 0.75 * self.cell, WIDE * self.cell)
+
+    def resized(self, factor: float) -> Witnesses:
+        """Return the witnesses of the cloud that is so many times as large, at a cell that is too."""
+        points, grid = self.points * factor, self.grid
+        grid = grid._replace(points=points, origin=grid.origin * factor, cell=grid.cell * factor)
+        return replace(self, points=points, cell=self.cell * factor, grid=grid, gap=self.gap * factor)
 
 
 def working_cell(points: np.ndarray, count: int = CELLS) -> float:

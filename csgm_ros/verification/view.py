@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from csgm_ros.cloud.agreement import Comparison
-from csgm_ros.cloud.witnesses import robust_radius, witnesses, working_cell
+from csgm_ros.cloud.witnesses import Witnesses, robust_radius, witnesses, working_cell
 from csgm_ros.config import Config
 from csgm_ros.progress import Look, unhurried
 from csgm_ros.types import NormalizedPair, Similarity, Surface, Verdict
@@ -81,6 +81,7 @@ class View:
         self.rivals: list[tuple[Similarity, float]] = []
         self._config, self._rng, self._refine = config, rng, refine
         self._viewpoints, self._smoothed, self._look = viewpoints, smoothed, look
+        self._seen: dict[tuple[int, float, float], Witnesses] = {}
         self._comparisons: dict[int, Comparison] = {}
         self._probes: dict[bytes, Probes | None] = {}
         self._polished: dict[tuple[int, bool, bytes], np.ndarray] = {}
@@ -200,24 +201,28 @@ class View:
             step = round(np.log(scale) / SAME_SCALE)
             used = float(np.exp(step * SAME_SCALE))
         if step not in self._comparisons:
-            sides = zip(self.pair.normalized, (used, 1.0), strict=True)
-            source, target = (points * factor for points, factor in sides)
-            sizes = self._cells
-            self._look()
-            cell = min(sizes[0] * used, sizes[1])
-            reach = 2.0 * min(robust_radius(source), robust_radius(target))
-            neighbors, made = self._config.preprocess.normal_neighbors, []
-            for points in (source, target):
-                self._look()
-                # each draws as if it were the only one: which of two is called the source must not matter
-                made.append(witnesses(points, cell, reach, np.random.default_rng(0), neighbors))
-            self._comparisons[step] = Comparison(made[0], made[1], cell)
+            cells, radii = self._lengths
+            source = self._witnesses(0, min(cells[0], cells[1] / used), min(radii[0], radii[1] / used))
+            target = self._witnesses(1, min(cells[0] * used, cells[1]), min(radii[0] * used, radii[1]))
+            self._comparisons[step] = Comparison(source.resized(used), target, target.cell)
         return self._comparisons[step], used
 
+    def _witnesses(self, side: int, cell: float, radius: float) -> Witnesses:
+        """Return a cloud at a cell, as far as a radius; the smaller one's are the same at many scales."""
+        if (side, cell, radius) not in self._seen:
+            self._look()
+            points, neighbors = self.pair.normalized[side], self._config.preprocess.normal_neighbors
+            # each draws as if it were the only one: which of two is called the source must not matter
+            drawn = np.random.default_rng(0)
+            self._seen[side, cell, radius] = witnesses(points, cell, 2.0 * radius, drawn, neighbors)
+        return self._seen[side, cell, radius]
+
     @cached_property
-    def _cells(self) -> tuple[float, float]:
-        source, target = map(working_cell, self.pair.normalized)
-        return source, target
+    def _lengths(self) -> tuple[list[float], list[float]]:
+        """The working cells and the radii of source and target."""
+        self._look()
+        clouds = self.pair.normalized
+        return [working_cell(points) for points in clouds], [robust_radius(points) for points in clouds]
 
     def _seen_through(self, transform: Similarity) -> float:
         """Return the larger share of either cloud that the other's sensor, where its place is known, looked through."""
