@@ -27,7 +27,7 @@ AS_WELL = 0.8  # ... count so far as they fit better than so many times as well 
 FEW, SOME, PROBES = 400, 700, 60  # points
 MOST_RIVALS, RIVALS_APART = 16, 2.5  # that are measured on all points, of what is probed; cells
 WORTH = 0.3  # of the winner's score, from which a rival is polished: the others leave no doubt
-ROUNDS = ((WIDE_DISTANCES[:1], 350, 24), (WIDE_DISTANCES[1:], SOME, 16), (FINE_DISTANCES, SOME, 16))
+ROUNDS = ((WIDE_DISTANCES[:1], 350, 48), (WIDE_DISTANCES[1:], SOME, 16), (FINE_DISTANCES, SOME, 16))
 """Of probes: correspondence distances, points that tell the best, and how many are kept."""
 MOST_MIRRORED = 4
 MIN_OVERLAP = 20  # points, below which there is nothing to probe
