@@ -39,3 +39,16 @@ def test_clouds_of_few_points_are_asked_for_all_of_them():
     seen = witnesses.witnesses(points, 0.05, 3.0, np.random.default_rng(0), 12)
     assert len(seen.sample) == len(seen.points)
     assert seen.coplanar.min() >= 1.0
+
+
+def test_an_enlarged_cloud_has_the_same_witnesses_but_for_their_size():
+    points, _ = cube(12000)
+    made = [witnesses.witnesses(f * points, f * 0.05, f * 3.0, np.random.default_rng(0), 12) for f in (1.0, 2.7)]
+    resized, built = made[0].resized(2.7), made[1]
+    assert (resized.sample == built.sample).all()
+    assert (resized.coplanar == built.coplanar).all()
+    np.testing.assert_allclose(resized.points, built.points, atol=1e-9)
+    ours, theirs = ((seen.cell, seen.gap, seen.grid.cell) for seen in (resized, built))
+    np.testing.assert_allclose(ours, theirs)
+    same = resized.grid.index[1] == built.grid.index[1]  # but for cells whose centres are as near to two points
+    assert same.mean() > 0.999
