@@ -281,7 +281,7 @@ class VerificationConfig(Checked):
         high=1.0,
     )
     min_margin: float = param(
-        2.0,
+        2.2,
         'score over that of the best different transform, found or probed, below which a result is rejected',
         low=1.0,
         high=100.0,

@@ -53,7 +53,7 @@ def judged(found, *, estimate_scale=True):
         (findings(found(0.2), slid(0.1, 1.0)), '5.0 times as well'),
         (findings(seen_through=0.1), 'independent surfaces'),
         (findings(Rival(0.8, 3.0)), 'independent surfaces'),  # nearby, but worse
-        (findings(found(0.49), agreement=agreement(planes=60.0)), '2.0 times as well'),
+        (findings(found(0.45), agreement=agreement(planes=60.0)), '2.2 times as well'),
         (findings(mirrored=0.79), 'independent surfaces'),
         (findings(agreement=agreement(planes=80.0), mirrored=0.98), '20.0 times as well'),  # its own mirror image
         (findings(found(0.4), agreement=agreement(planes=60.0), mirrored=0.85), '2.5 times as well'),
