@@ -82,10 +82,16 @@ class Comparison:
         transforms = np.ascontiguousarray(transforms, float).reshape(-1, 4, 4)
         found = np.empty((2, 3, len(transforms)))  # of either side: weights that meet and that agree, points that agree
         for side, matrices in enumerate((transforms, _inverses(transforms))):
-            points, normals, weights = self._asked(side, most)
-            _meet_all(matrices, points, normals, *self._other(side), weights, *found[side])
+            self._meet(side, matrices, most, found[side])
         meets, agrees, inliers = found.transpose(1, 0, 2)
         return (agrees / np.maximum(meets, 1e-12)).min(0), agrees.min(0), inliers.min(0)
+
+    def _meet(self, side: int, matrices: np.ndarray, most: int | None, found: np.ndarray) -> tuple:
+        """Fill what is found (3, H) of a side, and return states and nearest points under the last of the matrices."""
+        points, normals, weights = self._asked(side, most)
+        states, near = np.empty(len(points), np.int8), np.empty(len(points), np.int64)
+        _meet_all(matrices, points, normals, *self._other(side), weights, states, near, *found)
+        return states, near
 
     def _asked(self, side: int, most: int | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return points, normals and weights of a side that are asked, as they lie in memory: voxel by voxel."""
@@ -107,9 +113,8 @@ class Comparison:
 
     def overlap(self, transform: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the moved source points (I, 3) that agree, the target's normals there, and their weights."""
-        points, normals, weights = self._asked(0, None)
-        states, near = np.empty(len(points), np.int8), np.empty(len(points), np.int64)
-        _meet(transform, points, normals, *self._other(0), states, near)
+        points, _, weights = self._asked(0, None)
+        states, near = self._meet(0, np.ascontiguousarray(transform[None], float), None, np.empty((3, 1)))
         agree = states == AGREES
         there = self.sides[1].normals[near[agree]]
         return points[agree] @ transform[:3, :3].T + transform[:3, 3], there, weights[agree]
@@ -125,8 +130,7 @@ def _inverses(transforms: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _meet_all(matrices, points, normals, grid, lengths, weights, meets, agrees, inliers):
-    states, near = np.empty(len(points), np.int8), np.empty(len(points), np.int64)
+def _meet_all(matrices, points, normals, grid, lengths, weights, states, near, meets, agrees, inliers):
     for h in range(len(matrices)):
         _meet(matrices[h], points, normals, grid, lengths, states, near)
         meets[h], agrees[h], inliers[h] = 0.0, 0.0, 0.0

@@ -24,6 +24,7 @@ SAME_DISTANCES = (1.0, 0.5)
 POLISH, POLISHED = (1.5,), 60  # cells, and steps at most, until what all witnesses say no longer changes
 STEPS = np.array((-0.05, -0.03, -0.015, 0.015, 0.03, 0.05))  # logarithms of the scales that, like a winner's own, ...
 AS_WELL = 0.8  # ... count so far as they fit better than so many times as well as the best
+MOVED = 0.001  # of the scale, below which the mean of these is where it was: what is exact stays exact
 FEW, SOME, PROBES = 400, 700, 60  # points
 MOST_RIVALS, RIVALS_APART = 16, 2.5  # that are measured on all points, of what is probed; cells
 WORTH = 0.3  # of the winner's score, from which a rival is polished: the others leave no doubt
@@ -254,7 +255,7 @@ def centred(comparison: Comparison, transform: np.ndarray, refine: Refine) -> np
     scores = np.array([comparison.agreement(end).evidence for end in (transform, *resized)])
     weights = np.maximum(scores - AS_WELL * scores.max(), 0.0)
     step = weights[1:] @ STEPS / max(weights.sum(), 1e-12)
-    if step == 0.0:
+    if abs(step) < MOVED:
         return transform
     return polished(comparison, scales(transform, overlap, [np.exp(step)]), refine, estimate_scale=False)[0]
 
