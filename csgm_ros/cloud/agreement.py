@@ -80,18 +80,23 @@ class Comparison:
     def measured(self, transforms: np.ndarray, most: int | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return ``precision``, ``planes`` and ``inliers`` (H,) of :class:`Agreement` of (H, 4, 4) transforms."""
         transforms = np.ascontiguousarray(transforms, float).reshape(-1, 4, 4)
-        found = np.empty((2, 3, len(transforms)))  # of either side: weights that meet and that agree, points that agree
-        for side, matrices in enumerate((transforms, _inverses(transforms))):
-            self._meet(side, matrices, most, found[side])
-        meets, agrees, inliers = found.transpose(1, 0, 2)
+        sides = enumerate((transforms, _inverses(transforms)))
+        meets, agrees, inliers = np.stack([self._meet(side, matrices, most)[0] for side, matrices in sides], axis=1)
         return (agrees / np.maximum(meets, 1e-12)).min(0), agrees.min(0), inliers.min(0)
 
-    def _meet(self, side: int, matrices: np.ndarray, most: int | None, found: np.ndarray) -> tuple:
-        """Fill what is found (3, H) of a side, and return states and nearest points under the last of the matrices."""
+    def _meet(
+        self, side: int, matrices: np.ndarray, most: int | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what a side meets under (H, 4, 4) matrices, as ``most`` of its points tell.
+
+        These are (3, H): weights that meet and that agree, points that agree; then the states of its points, and which
+        of the other side's are nearest, under the last of the matrices.
+        """
         points, normals, weights = self._asked(side, most)
+        found = np.empty((3, len(matrices)))
         states, near = np.empty(len(points), np.int8), np.empty(len(points), np.int64)
         _meet_all(matrices, points, normals, *self._other(side), weights, states, near, *found)
-        return states, near
+        return found, states, near
 
     def _asked(self, side: int, most: int | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return points, normals and weights of a side that are asked, as they lie in memory: voxel by voxel."""
@@ -114,7 +119,7 @@ class Comparison:
     def overlap(self, transform: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the moved source points (I, 3) that agree, the target's normals there, and their weights."""
         points, _, weights = self._asked(0, None)
-        states, near = self._meet(0, np.ascontiguousarray(transform[None], float), None, np.empty((3, 1)))
+        _, states, near = self._meet(0, np.ascontiguousarray(transform[None], float))
         agree = states == AGREES
         there = self.sides[1].normals[near[agree]]
         return points[agree] @ transform[:3, :3].T + transform[:3, 3], there, weights[agree]

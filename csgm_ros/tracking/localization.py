@@ -98,11 +98,14 @@ def joined(parts: Sequence[tuple], voxel: float) -> Submap:
         points, normals = levels[-1].points, levels[-1].normals
     chosen = np.unique(np.linspace(0, len(parts) - 1, VIEWS).round().astype(int))
     views = tuple(parts[k][0].view._replace(matrix=parts[k][1]) for k in chosen)
-    samples = [frame.sample(OWN // len(parts)) for frame, _ in parts]
-    moves = [m for _, m in parts]
-    own = np.concatenate([points @ m[:3, :3].T + m[:3, 3] for (points, _), m in zip(samples, moves, strict=True)])
-    turned = np.concatenate([normals @ m[:3, :3].T for (_, normals), m in zip(samples, moves, strict=True)])
-    return Submap(voxel, tuple(levels), views, own, turned)
+    return Submap(voxel, tuple(levels), views, *sampled(parts, OWN))
+
+
+def sampled(parts: Sequence[tuple], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return about (count, 3) points and normals that stand for what (Frame, rigid (4, 4) pose) pairs returned."""
+    samples = [(*frame.sample(count // len(parts)), matrix) for frame, matrix in parts]
+    points = np.concatenate([moved(matrix, points) for points, _, matrix in samples])
+    return points, np.concatenate([normals @ matrix[:3, :3].T for _, normals, matrix in samples])
 
 
 class Localizer:

@@ -257,10 +257,9 @@ class Session:
 
     def _centred(self, place: np.ndarray) -> np.ndarray:
         """Return a place half-way to where what was seen lately lies best on the map: the two err differently."""
-        lately, near = self._recent[::-BETWEEN][:LATELY], self._level.near
-        samples = [(frame.sample(SAMPLES // len(lately)), matrix) for _, frame, matrix in lately]
-        points = np.concatenate([localization.moved(matrix, points) for (points, _), matrix in samples])
-        normals = np.concatenate([normals @ matrix[:3, :3].T for (_, normals), matrix in samples])
+        lately = [(frame, matrix) for _, frame, matrix in self._recent[::-BETWEEN][:LATELY]]
+        points, normals = localization.sampled(lately, SAMPLES)
+        near = self._level.near
         return _between(place, align(points, normals, near, place, (near.voxel,), iterations=5).matrix, 0.5)
 
     def _correct_scale(self) -> None:

@@ -121,7 +121,7 @@ def _corners(voxels):
 def nearest(points, keys, first, around, table, origin, voxel, x, y, z):
     """Return the index of a surface's point nearest to (x, y, z) in the 8 voxels around it, -1 for none.
 
-    Whatever lies within half a voxel is found, and nothing from two voxels on. What a :class:`Surface` holds is asked
+    Whatever lies within half a voxel is found, and nothing from three voxels on. What a :class:`Surface` holds is asked
     for one by one: taken out of it at every point, it would be counted at every point who holds it, for twice the time.
     """
     x0, y0, z0 = (x - origin[0]) / voxel - 0.5, (y - origin[1]) / voxel - 0.5, (z - origin[2]) / voxel - 0.5

@@ -87,7 +87,7 @@ class Flight:
         See :class:`csgm_ros.cloud.agreement.Comparison`; the scales are :func:`comparable` ones, the kind of normals
         one of ``NORMALS``.
         """
-        scales = np.cbrt(np.linalg.det(transforms[:, :3, :3]))
+        scales = scales_of(transforms)
         numbers, scores = np.array([_number(scale) for scale in scales]), np.zeros(len(transforms))
         for number in np.unique(numbers):
             here = numbers == number
@@ -167,6 +167,11 @@ def comparable(scale: float | np.ndarray) -> Any:
 
 def _number(scale: float) -> int:
     return round(np.log(scale) / np.log(RUNG))
+
+
+def scales_of(transforms: np.ndarray) -> np.ndarray:
+    """Return the scales (H,) of (H, 4, 4) similarity matrices."""
+    return np.cbrt(np.linalg.det(transforms[:, :3, :3]))
 
 
 def scale_of(transform: np.ndarray) -> float:

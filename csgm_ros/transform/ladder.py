@@ -13,7 +13,7 @@ import numpy as np
 
 from csgm_ros.cloud.kernels import kernel
 from csgm_ros.progress import Look, unhurried
-from csgm_ros.transform.flight import NORMALS, Flight, comparable, scale_of
+from csgm_ros.transform.flight import NORMALS, Flight, comparable, scale_of, scales_of
 
 SAME = 2.0  # cells of mean displacement up to which two transforms are one
 APART = 6.0  # nearer to a better one, a finalist is the same but for bent clouds and noise
@@ -74,7 +74,7 @@ class Ladder:
 
     def backs(self, transforms: np.ndarray) -> np.ndarray:
         """Return which (H,) of (H, 4, 4) transforms see the target as the part."""
-        return np.cbrt(np.linalg.det(transforms[:, :3, :3])) > self.turning
+        return scales_of(transforms) > self.turning
 
     def best(self, starts: np.ndarray, *, estimate_scale: bool, every_kind: bool = False) -> np.ndarray:
         """Return the best different ones (F, 4, 4) of (H, 4, 4) transforms, best first, refined round by round.
@@ -117,7 +117,7 @@ class Ladder:
         """Return how far the clouds agree (H,) under (H, 4, 4) transforms, see :meth:`Flight.scores`."""
         transforms = np.asarray(transforms).reshape(-1, 4, 4)
         backs, scores = self.backs(transforms), np.zeros(len(transforms))
-        known = comparable(np.cbrt(np.linalg.det(transforms[:, :3, :3])))
+        known = comparable(scales_of(transforms))
         for back, flight in enumerate(self.flights):
             here = known & (backs == back)
             scores[here] = flight.scores(turned(transforms[here], bool(back)), most, kind)
@@ -131,7 +131,7 @@ class Ladder:
         So much they move the part, in cells at the scale of the later one.
         """
         backs = self.backs(transforms).astype(int)
-        scales = np.cbrt(np.linalg.det(transforms[:, :3, :3]))
+        scales = scales_of(transforms)
         images, near = [np.empty((len(transforms), 0, 3))] * 2, np.empty(len(transforms))
         for f in np.unique(backs):
             images[f] = self.flights[f].images(turned(transforms, bool(f)))

@@ -17,7 +17,7 @@ def plane(rng):
 
 
 def dust(rng):
-    """Points so far apart that no two have a voxel's corner in common."""
+    """Points so far apart that next to no two have a voxel's corner in common."""
     return rng.uniform(-30.0, 30.0, (3000, 3))
 
 
