@@ -5,6 +5,8 @@ import pytest
 from scenes import ball, box, error, random_rotation, random_similarity, rectangle, room
 from scipy.spatial.transform import Rotation
 
+from csgm_ros.cloud import nearest_grid
+from csgm_ros.cloud.agreement import INLIER, NEAR
 from csgm_ros.config import profile, replaced
 from csgm_ros.scale import normalizations
 from csgm_ros.transform.refinement import refine_between, refine_finalists
@@ -276,6 +278,38 @@ def test_scores_of_many_transforms_at_a_time_are_those_of_each(room_view):
     singly = [comparison.agreement(transform, 300).score for transform in transforms]
     assert max(singly) > 0.005
     np.testing.assert_allclose(comparison.scores(transforms, 300), singly, atol=1e-12)
+
+
+def asked_one_by_one(comparison, transform, most):
+    """Precision, planes and inliers, by the definition, a point at a time."""
+    shares, agrees, inliers = [], [], []
+    for matrix, moving, still in zip(
+        (transform, np.linalg.inv(transform)), comparison.sides, comparison.sides[::-1], strict=True
+    ):
+        sample, grid, scale = moving.sample[:most], still.grid, np.linalg.norm(matrix[:3, 0])
+        points = moving.points[sample] @ matrix[:3, :3].T + matrix[:3, 3]
+        near = np.array([nearest_grid.lookup(grid.index, grid.origin, grid.cell, *point) for point in points])
+        offsets, weights = points - still.points[near], 1.0 / moving.coplanar[:most]
+        height = (offsets * still.normals[near]).sum(1)
+        aside = np.sqrt(np.maximum((offsets**2).sum(1) - height**2, 0.0)) - still.gap * np.sqrt(scale)
+        across = np.hypot(height, np.maximum(aside, 0.0))
+        parallel = np.abs(((moving.normals[sample] @ matrix[:3, :3].T) * still.normals[near]).sum(1)) / scale
+        meets = (near >= 0) & (np.linalg.norm(offsets, axis=1) < NEAR * comparison.cell * np.sqrt(scale))
+        agree = meets & (across < INLIER * comparison.cell * np.sqrt(scale)) & (parallel >= comparison._min_cosine)
+        shares.append(weights[agree].sum() / weights[meets].sum())
+        agrees.append(weights[agree].sum())
+        inliers.append(agree.sum())
+    return min(shares), min(agrees), min(inliers)
+
+
+def test_agreement_is_what_asking_one_point_at_a_time_says(room_view):
+    comparison, _ = room_view.comparison(1.0)
+    truth = normal(TRUTH, room_view).matrix
+    for transform in (truth, truth @ np.diag([1.05, 1.05, 1.05, 1.0])):
+        said = comparison.agreement(transform, 300)
+        np.testing.assert_allclose(
+            (said.precision, said.planes, said.inliers), asked_one_by_one(comparison, transform, 300), rtol=1e-9
+        )
 
 
 def test_what_leads_back_to_the_winner_does_not_compete_with_it(seen, monkeypatch):
