@@ -25,6 +25,7 @@ SCALES = (0.85, 0.92, 1.08, 1.17)  # tried around the scale of a hypothesis
 APART = np.array((-0.06, 0.0, 0.06))  # logarithms of those that a parabola is laid through
 CLEARLY = 1.03  # times as good must a scale far off be
 ROUNDS, SETTLED = 3, 0.01  # of settling the scale at most; logarithm below which it is settled
+SOUGHT_FROM = -0.05, 0.0, 0.05  # logarithms of the growths of what was found from which it is sought
 VIEWS = 6
 FEW, MANY = 1200, 4000
 GLANCE, LIKELY = 300, 0.4  # points at a glance; share of the hypotheses that get a second one
@@ -177,13 +178,18 @@ class Localizer:
         return self.weighed(self.refined(place.matrix @ scaling(np.exp(growth), center), FEW, coarse=True))
 
     def settled(self, matrix: np.ndarray) -> np.ndarray:
-        """Return a pose (4, 4) half-way to the scale at which the submap and the map lie best on each other.
+        """Return a pose (4, 4) at the scale at which the submap and the map lie best on each other.
 
-        The other half is trusted to what found it: neither errs as the other does.
         Each is scored on the other: points scattered about a surface fit what is larger better, whichever of the two
-        they belong to, so that the two scores err in opposite directions.
+        they belong to, so that the two scores err in opposite directions. Where they are best depends a little on
+        where they are sought from, so it is sought from several scales and the mean counts.
         """
-        center, found = self._submap.points.mean(axis=0), matrix
+        center = self._submap.points.mean(axis=0)
+        ends = [self._settled(matrix @ scaling(np.exp(step), center), center) for step in SOUGHT_FROM]
+        mean = np.exp(np.mean([np.log(scale_of(end)) for end in ends]))
+        return self.refined(matrix @ scaling(mean / scale_of(matrix), center), MANY)
+
+    def _settled(self, matrix: np.ndarray, center: np.ndarray) -> np.ndarray:
         wide = self._both_ways(matrix, 2.0 * STEPS, center)
         if wide.max() > CLEARLY * wide[len(STEPS) // 2]:
             matrix = matrix @ scaling(np.exp(2.0 * STEPS[np.argmax(wide)]), center)
@@ -194,7 +200,7 @@ class Localizer:
             matrix = matrix @ scaling(np.exp(growth), center)
             if abs(growth) < SETTLED:
                 break
-        return self.refined(found @ scaling(np.sqrt(scale_of(matrix) / scale_of(found)), center), MANY)
+        return matrix
 
     def _both_ways(self, matrix: np.ndarray, steps: np.ndarray, center: np.ndarray) -> np.ndarray:
         """Return the score (S,) of a pose after each of (S,) growths."""

@@ -15,6 +15,7 @@ from csgm_ros.types import rotation_angle
 
 KEPT = 25  # key frames in the model
 POINTS, COARSE_POINTS = 2500, 500
+FITS, SUDDEN = 0.35, 0.5  # share of a frame that must be on the model; of that of the last frame: else it was carried
 
 
 class Keyframe(NamedTuple):
@@ -73,8 +74,8 @@ class Odometry:
         found, scores = align_each(*few, coarse, starts, (coarse.voxel, 0.7 * coarse.voxel), iterations=8)
         found, scores = align_each(*few, middle, found, (middle.voxel,), iterations=8)
         fit = align(*many, fine, found[np.argmax(scores)], (1.5 * self._voxel, self._voxel))
-        self.quality = fit.inliers
-        if fit.inliers < 0.35:
+        least, self.quality = max(FITS, SUDDEN * self.quality), fit.inliers
+        if fit.inliers < least:
             return False
         moved = np.linalg.inv(self.matrix) @ fit.matrix
         self._velocity, self._interval = moved, interval

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-FIRST = 0.05  # sigma of a scale that was just found, relative
-LOOK = 20.0  # what one look counts, with all that it has in common with the looks before
+FIRST, LOOK = 0.02, 0.02  # sigma of a scale that was just found, and of what one look says of it, relative
 HELD = 0.01  # share of the best score that the outermost scales must lose, for the scale to be seen
 LEAST = 0.004  # sigma below which nothing is believed: the map is not quite a similarity of the scene
 LARGEST_STEP = 0.005  # of the scale that is given out, at a time
@@ -50,17 +49,16 @@ class Scale:
     def corrected(self, scores: np.ndarray, *, smoothly: bool = True) -> Scale:
         """Return the scale after a look that scored ``value`` times the exponentials of :data:`STEPS`, (5,).
 
-        A parabola through the scores counts as log-likelihood: looks that say little, as those on a single wall,
-        change little, and none where there is no peak. Where poses are given out the value follows ``smoothly``, in
-        short steps, and loses nothing of what is believed.
+        Looks that say nothing, as those on a single wall, change nothing of what is believed. Where poses are given out the value follows
+        ``smoothly``, in short steps and only what it is off by more than sigma, and loses nothing of what is believed.
         """
-        error, ahead, before, told = vertex(STEPS, scores), self.ahead, self.sigma**-2.0, 0.0
+        error, ahead, sigma = vertex(STEPS, scores), self.ahead, self.sigma
         if error is not None:
-            told = -2.0 * LOOK * np.polyfit(STEPS, scores / np.max(scores), 2)[0]
+            before, told = sigma**-2.0, LOOK**-2.0
             ahead += told / (before + told) * (error - ahead)
+            sigma = max((before + told) ** -0.5, LEAST)
         most = LARGEST_STEP if smoothly else np.inf
-        step = float(np.clip(ahead, -most, most))
-        sigma = max((before + told) ** -0.5, LEAST) if told else self.sigma
+        step = float(np.clip(ahead, -most, most)) if abs(ahead) > sigma or not smoothly else 0.0
         return Scale(self.value * np.exp(step), sigma, ahead - step)
 
 

@@ -26,7 +26,7 @@ from csgm_ros.types import Estimate, Prior
 LOST, LOCALIZING, TRACKING = 'lost', 'localizing', 'tracking'
 MIN_POINTS = 200
 SAMPLES = 2500
-SCALE_EVERY, SCALE_SAMPLES, SCALE_FRAMES = 5, 1500, 4  # frames between corrections; points of the map, frames asked
+SCALE_EVERY, SCALE_SAMPLES, SCALE_FRAMES = 5, 2500, 6  # frames between corrections; points of the map, frames asked
 SEEN = 0.8  # of the share on the map of frames that are tracked: beside the map a larger one fits better
 LATELY, BETWEEN = 6, 2  # frames that are laid on the map, and every which one they are
 GAIN = 0.5  # of a correction of the map's place relative to the odometry
@@ -376,16 +376,12 @@ class Session:
             return
         self._searches = 0
         self._place, self._confirmed = found.matrix, 0
-        self._supported = self._stamp
+        self._supported, self._since_scaled = self._stamp, 0
         self._level = self._map.level(self._voxel * self._scale.value)
         self._state, self._reason = LOCALIZING, f'found: {found.reason}'
-        if settled:
+        if settled:  # else frames may say so only once the place is found at the scale that is just known
             for stamp, frame, matrix in self._recent:
-                self._confirmed += stamp > job.stamp and self._confirms(self._evidence(frame, matrix))
-            return
-        for _, frame, matrix in self._recent[::-SCALE_EVERY]:  # so that the first pose has a scale that many agree on
-            self._since_scaled = SCALE_EVERY
-            self._refine(frame, matrix)
+                self._confirmed += stamp >= job.stamp and self._confirms(self._evidence(frame, matrix))
 
     def _learn(self, matrix: np.ndarray, evidence: Evidence | None, sensor: np.ndarray) -> None:
         """Keep what a place tells beyond its stretch of odometry, even if that has ended meanwhile."""

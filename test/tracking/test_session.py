@@ -83,6 +83,15 @@ def test_odometry_refuses_what_shows_another_place():
     assert np.array_equal(odometry.matrix, before)
 
 
+def test_odometry_refuses_a_leap_to_a_view_that_looks_alike(kitchen):
+    """From one stretch of cupboards to the next, whose planes the frame fits a little."""
+    odometry = Odometry(0.03, np.random.default_rng(0))
+    for k in range(56, 63):
+        assert odometry.add(frames.prepared(kitchen.points(k), 0.03), kitchen.stamps[k])
+    assert odometry.quality > 0.7
+    assert not odometry.add(frames.prepared(kitchen.points(90), 0.03), kitchen.stamps[62] + 0.12)
+
+
 def test_a_motion_carried_on_twice_is_the_motion_twice():
     step = motion((3.0, 0.0, 0.0), (0.1, 0.0, 0.0))
     assert np.allclose(power(step, 2.0), step @ step, atol=1e-12)
@@ -226,7 +235,15 @@ def test_a_scale_follows_in_short_steps_what_one_look_made_believed():
     assert known.value == pytest.approx(2.0 * np.exp(scale.LARGEST_STEP))
     for _ in range(20):
         known = known.corrected(np.ones(5))
-    assert known.value == pytest.approx(at_once.value)
+    assert abs(np.log(known.value / at_once.value)) < known.sigma
+    assert known.value * np.exp(known.ahead) == pytest.approx(at_once.value)
+
+
+def test_a_scale_that_is_off_by_less_than_its_sigma_is_left_alone():
+    known = scale.Scale.found(2.0)
+    for true in (2.01, 1.99, 2.01):
+        known = known.corrected(looked(known, true))
+        assert known.value == 2.0
 
 
 @pytest.mark.parametrize('scores', [np.ones(5), np.array((1.0, 0.9, 0.8, 0.9, 1.0))])
