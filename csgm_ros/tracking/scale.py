@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-FIRST, LOOK = 0.02, 0.02  # sigma of a scale that was just found, and of what one look says of it, relative
+FIRST, LOOK = 0.02, 0.015  # sigma of a scale that was just found, and of what one look says of it, relative
 HELD = 0.01  # share of the best score that the outermost scales must lose, for the scale to be seen
 LEAST = 0.004  # sigma below which nothing is believed: the map is not quite a similarity of the scene
 LARGEST_STEP = 0.005  # of the scale that is given out, at a time
@@ -49,8 +49,9 @@ class Scale:
     def corrected(self, scores: np.ndarray, *, smoothly: bool = True) -> Scale:
         """Return the scale after a look that scored ``value`` times the exponentials of :data:`STEPS`, (5,).
 
-        Looks that say nothing, as those on a single wall, change nothing of what is believed. Where poses are given out the value follows
-        ``smoothly``, in short steps and only what it is off by more than sigma, and loses nothing of what is believed.
+        Looks that say nothing, as those on a single wall, change nothing of what is believed. Where poses are given out
+        the value follows ``smoothly``, in short steps and only what it is off by more than sigma, and loses nothing of
+        what is believed.
         """
         error, ahead, sigma = vertex(STEPS, scores), self.ahead, self.sigma
         if error is not None:
