@@ -19,12 +19,14 @@ from csgm_ros.cloud.cells import cells, working_size
 from csgm_ros.io.files import read_cloud
 from csgm_ros.tracking.localization import moved, scale_of
 from csgm_ros.tracking.maps import prepare_map
+from csgm_ros.tracking.odometry import power
 from csgm_ros.types import rotation_angle
 
 ON_MAP, OFF_MAP, BLOCKED = 1, 2, 3
 RESULTS = Path(__file__).resolve().parent / 'results'
 RIGHT = 0.10, 5.0, 0.06  # the rule of the data: metres, degrees, relative scale
 CLEAR = 1.5  # seconds
+UNBROKEN = 0.5  # seconds from one frame to the next
 WRONG = 0.20, 10.0
 MIN_POINTS = 200
 STRANGERS = tuple(
@@ -44,9 +46,9 @@ STRANGERS = tuple(
 
 
 class Sequence:
-    """Depth frames, a map, and the truth."""
+    """Depth frames, a map, and the truth; of ``clock`` seconds later, where its clock is not that of the frames."""
 
-    def __init__(self, folder: Path):
+    def __init__(self, folder: Path, clock: float = 0.0):
         with np.load(folder / 'frames.npz') as file:
             self.depth, self.stamps, self.truth, camera, self.state, self.event = (
                 file[name] for name in ('depth', 'stamp', 'T_map_camera', 'K', 'state', 'event')
@@ -54,6 +56,8 @@ class Sequence:
         self.name = folder.name.removeprefix('sequence_')
         self.map = read_cloud(folder / 'map.ply').points
         self.scale = scale_of(self.truth[0])
+        if clock:
+            self.truth = later(self.truth, self.stamps, clock)
         v, u = np.mgrid[: self.depth.shape[1], : self.depth.shape[2]]
         rays = ((u - camera[0, 2]) / camera[0, 0], (v - camera[1, 2]) / camera[1, 1], np.ones(u.shape))
         self._rays = np.stack(rays, axis=-1)
@@ -72,6 +76,17 @@ class Sequence:
         shift = np.linalg.norm(moved(matrix, points) - moved(truth, points), axis=1).mean() / self.scale
         turn = (matrix[:3, :3] / scale) @ (truth[:3, :3] / self.scale).T
         return float(shift), float(np.degrees(rotation_angle(turn))), scale / self.scale - 1
+
+
+def later(poses: np.ndarray, stamps: np.ndarray, seconds: float) -> np.ndarray:
+    """Return similarities (N, 4, 4) interpolated some seconds after their stamps, as they are beside a break."""
+    found = poses.copy()
+    before = np.clip(np.searchsorted(stamps, stamps + seconds) - 1, 0, len(stamps) - 2)
+    for n, k in enumerate(before):
+        if stamps[k + 1] - stamps[k] < UNBROKEN:
+            step = np.linalg.inv(poses[k]) @ poses[k + 1]
+            found[n] = poses[k] @ power(step, (stamps[n] + seconds - stamps[k]) / (stamps[k + 1] - stamps[k]))
+    return found
 
 
 class QuietMachine:
@@ -255,7 +270,7 @@ def _clear(sequence: Sequence, first: int) -> float:
     """Return for how many seconds from a frame on the sensor sees the map without a break."""
     n = first
     while n + 1 < len(sequence) and sequence.state[n + 1] == ON_MAP:
-        if sequence.stamps[n + 1] - sequence.stamps[n] > 0.5:
+        if sequence.stamps[n + 1] - sequence.stamps[n] > UNBROKEN:
             break
         n += 1
     return float(sequence.stamps[n] - sequence.stamps[first])
@@ -389,7 +404,10 @@ def main() -> None:
     parser.add_argument('--sequences', nargs='+', default=['kitchen', 'desk'])
     parser.add_argument('--parts', nargs='+', default=['replay', 'peers', 'starts', 'strangers', 'hours'])
     parser.add_argument('--starts', type=int, default=25, help='random starts in each sequence (%(default)s)')
-    parser.add_argument('--seed', type=int, default=0, help='of the random starts (%(default)s)')
+    parser.add_argument('--seed', type=int, default=0, help='of the replay and of the random starts (%(default)s)')
+    parser.add_argument(
+        '--clock', type=float, default=0.0, help='seconds after a frame of which the truth is taken (%(default)s)'
+    )
     parser.add_argument('--minutes', type=float, default=30.0, help='of looped replay (%(default)s)')
     parser.add_argument('--quick', action='store_true', help='few frames of one sequence, to see that it works')
     parser.add_argument('--results', type=Path, default=RESULTS)
@@ -403,10 +421,10 @@ def main() -> None:
     file = options.results / 'tracking.json'
     kept = json.loads(file.read_text()) if file.exists() else {}
     for name in options.sequences:
-        sequence = Sequence(Path(os.environ['CSGM_SHARED']) / 'data' / f'sequence_{name}')
+        sequence = Sequence(Path(os.environ['CSGM_SHARED']) / 'data' / f'sequence_{name}', options.clock)
         warm_up(sequence)
         runs = {
-            'replay': lambda s=sequence: report(s, replay(s, range(40 if options.quick else len(s)))[0]),
+            'replay': lambda s=sequence: report(s, replay(s, range(40 if options.quick else len(s)), options.seed)[0]),
             'peers': lambda s=sequence: peers(s),
             'starts': lambda s=sequence: starts(s, options.starts, np.random.default_rng(options.seed)),
             'strangers': lambda s=sequence: strangers(s, options.starts, options.seed),
