@@ -190,6 +190,7 @@ class Localizer:
         return self.refined(matrix @ scaling(mean / scale_of(matrix), center), MANY)
 
     def _settled(self, matrix: np.ndarray, center: np.ndarray) -> np.ndarray:
+        """Return a pose scaled about a point until a parabola through the scores of others ends where it is."""
         wide = self._both_ways(matrix, 2.0 * STEPS, center)
         if wide.max() > CLEARLY * wide[len(STEPS) // 2]:
             matrix = matrix @ scaling(np.exp(2.0 * STEPS[np.argmax(wide)]), center)

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-FIRST, LOOK = 0.02, 0.015  # sigma of a scale that was just found, and of what one look says of it, relative
+FIRST, LOOK = 0.02, 0.02  # sigma of a scale that was just found, and of what one look says of it, relative
 HELD = 0.01  # share of the best score that the outermost scales must lose, for the scale to be seen
 LEAST = 0.004  # sigma below which nothing is believed: the map is not quite a similarity of the scene
 LARGEST_STEP = 0.005  # of the scale that is given out, at a time
+LEFT = 1.5  # sigmas that it may be off: steps to and fro would be worse
 STEPS = 0.04 * np.arange(-2, 3)  # logarithms of the scales that are compared
 
 
@@ -50,8 +51,8 @@ class Scale:
         """Return the scale after a look that scored ``value`` times the exponentials of :data:`STEPS`, (5,).
 
         Looks that say nothing, as those on a single wall, change nothing of what is believed. Where poses are given out
-        the value follows ``smoothly``, in short steps and only what it is off by more than sigma, and loses nothing of
-        what is believed.
+        the value follows ``smoothly``, in short steps and only where it is off by more than :data:`LEFT` sigma, and
+        loses nothing of what is believed.
         """
         error, ahead, sigma = vertex(STEPS, scores), self.ahead, self.sigma
         if error is not None:
@@ -59,7 +60,7 @@ class Scale:
             ahead += told / (before + told) * (error - ahead)
             sigma = max((before + told) ** -0.5, LEAST)
         most = LARGEST_STEP if smoothly else np.inf
-        step = float(np.clip(ahead, -most, most)) if abs(ahead) > sigma or not smoothly else 0.0
+        step = float(np.clip(ahead, -most, most)) if abs(ahead) > LEFT * sigma or not smoothly else 0.0
         return Scale(self.value * np.exp(step), sigma, ahead - step)
 
 
