@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-FIRST, LOOK = 0.02, 0.02  # sigma of a scale that was just found, and of what one look says of it, relative
+FIRST, LOOK = 0.02, 0.015  # sigma of a scale that was just found, and of what one look says of it, relative
 HELD = 0.01  # share of the best score that the outermost scales must lose, for the scale to be seen
 LEAST = 0.004  # sigma below which nothing is believed: the map is not quite a similarity of the scene
 LARGEST_STEP = 0.005  # of the scale that is given out, at a time
