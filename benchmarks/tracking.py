@@ -19,7 +19,7 @@ from csgm_ros.cloud.cells import cells, working_size
 from csgm_ros.io.files import read_cloud
 from csgm_ros.tracking.localization import moved, scale_of
 from csgm_ros.tracking.maps import prepare_map
-from csgm_ros.tracking.odometry import power
+from csgm_ros.tracking.odometry import between
 from csgm_ros.types import rotation_angle
 
 ON_MAP, OFF_MAP, BLOCKED = 1, 2, 3
@@ -84,8 +84,8 @@ def later(poses: np.ndarray, stamps: np.ndarray, seconds: float) -> np.ndarray:
     before = np.clip(np.searchsorted(stamps, stamps + seconds) - 1, 0, len(stamps) - 2)
     for n, k in enumerate(before):
         if stamps[k + 1] - stamps[k] < UNBROKEN:
-            step = np.linalg.inv(poses[k]) @ poses[k + 1]
-            found[n] = poses[k] @ power(step, (stamps[n] + seconds - stamps[k]) / (stamps[k + 1] - stamps[k]))
+            share = (stamps[n] + seconds - stamps[k]) / (stamps[k + 1] - stamps[k])
+            found[n] = between(poses[k], poses[k + 1], share)
     return found
 
 
@@ -433,7 +433,7 @@ def main() -> None:
         for part in options.parts:
             found = runs[part]()
             print(json.dumps(found, indent=1), flush=True)
-            kept[f'{name} {part}'] = found
+            kept[f'{name} {part}' + (f', clock {options.clock:+g}' if options.clock else '')] = found
             if not options.quick:
                 file.write_text(json.dumps(kept, indent=1) + '\n')
 

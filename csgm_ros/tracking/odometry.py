@@ -119,6 +119,11 @@ def power(matrix: np.ndarray, exponent: float) -> np.ndarray:
     return out
 
 
+def between(first: np.ndarray, second: np.ndarray, share: float) -> np.ndarray:
+    """Return a similarity (4, 4) a share of the way from one to another of about the same scale."""
+    return first @ power(np.linalg.inv(first) @ second, share)
+
+
 def turned(axis: int, angle: float) -> np.ndarray:
     """Return a rotation about an axis of the frame as (4, 4)."""
     from scipy.spatial.transform import Rotation

@@ -59,8 +59,9 @@ class Scale:
             before, told = sigma**-2.0, LOOK**-2.0
             ahead += told / (before + told) * (error - ahead)
             sigma = max((before + told) ** -0.5, LEAST)
-        most = LARGEST_STEP if smoothly else np.inf
-        step = float(np.clip(ahead, -most, most)) if abs(ahead) > LEFT * sigma or not smoothly else 0.0
+        step = ahead
+        if smoothly:
+            step = float(np.clip(ahead, -LARGEST_STEP, LARGEST_STEP)) if abs(ahead) > LEFT * sigma else 0.0
         return Scale(self.value * np.exp(step), sigma, ahead - step)
 
 

@@ -17,7 +17,7 @@ from csgm_ros.tracking.evidence import Evidence, meet, weigh
 from csgm_ros.tracking.frames import Frame
 from csgm_ros.tracking.localization import scale_of, scaling
 from csgm_ros.tracking.maps import PreparedMap
-from csgm_ros.tracking.odometry import Odometry
+from csgm_ros.tracking.odometry import Odometry, between
 from csgm_ros.tracking.scale import STEPS, Scale
 from csgm_ros.tracking.search import Candidates, Found, Query, expected, search
 from csgm_ros.tracking.views import seen
@@ -243,7 +243,7 @@ class Session:
             return
         fit = self._laid(np.sort(self._rng.permutation(visible)[:SAMPLES]), inverse)
         gain = GAIN if self._state == TRACKING else 1.0  # a place just found has no past to be steadied by
-        self._place = _between(self._place, self._centred(np.linalg.inv(fit.matrix)), gain)
+        self._place = between(self._place, self._centred(np.linalg.inv(fit.matrix)), gain)
         self._covariance = self._covariance_of(fit)
         self._since_scaled += 1
         if self._since_scaled >= SCALE_EVERY and len(visible) >= SCALE_SAMPLES:
@@ -260,7 +260,7 @@ class Session:
         lately = [(frame, matrix) for _, frame, matrix in self._recent[::-BETWEEN][:LATELY]]
         points, normals = localization.sampled(lately, SAMPLES)
         near = self._level.near
-        return _between(place, align(points, normals, near, place, (near.voxel,), iterations=5).matrix, 0.5)
+        return between(place, align(points, normals, near, place, (near.voxel,), iterations=5).matrix, 0.5)
 
     def _correct_scale(self) -> None:
         """Lay the map on what was seen at several scales about what was in view, which stays where it is.
@@ -443,13 +443,3 @@ def _frame_points(points: np.ndarray) -> np.ndarray:
     if points.dtype.kind not in 'iuf' or points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f'frame: {points.dtype} of shape {points.shape}; give an (N, 3) array of x, y, z in metres')
     return frames.returns(points)
-
-
-def _between(old: np.ndarray, new: np.ndarray, share: float) -> np.ndarray:
-    """Return a similarity a share of the way from one to another of about the same scale."""
-    from csgm_ros.tracking.odometry import power
-
-    scale = scale_of(old)
-    unit = np.diag((1 / scale, 1 / scale, 1 / scale, 1.0))
-    step = np.linalg.inv(old @ unit) @ new @ unit
-    return old @ unit @ power(step, share) @ np.linalg.inv(unit)
