@@ -16,16 +16,13 @@ from csgm_ros.tracking import surface
 from csgm_ros.tracking.alignment import align_each, align_through
 from csgm_ros.tracking.evidence import Evidence, meet, weigh
 from csgm_ros.tracking.maps import PreparedMap
-from csgm_ros.tracking.scale import STEPS, vertex
 from csgm_ros.tracking.surface import Surface
 from csgm_ros.tracking.views import View
 
 LEVELS = (1.5, 3.0, 6.0, 12.0)  # edges of a submap's voxels, frame voxels
 SCALES = (0.85, 0.92, 1.08, 1.17)  # tried around the scale of a hypothesis
 APART = np.array((-0.06, 0.0, 0.06))  # logarithms of those that a parabola is laid through
-CLEARLY = 1.03  # times as good must a scale far off be
-ROUNDS, SETTLED = 3, 0.01  # of settling the scale at most; logarithm below which it is settled
-SOUGHT_FROM = -0.05, 0.0, 0.05  # logarithms of the growths of what was found from which it is sought
+HELD = 0.01  # share of the best score that the outermost of them must lose, for the scale to be seen
 VIEWS = 6
 FEW, MANY = 1200, 4000
 GLANCE, LIKELY = 300, 0.4  # points at a glance; share of the hypotheses that get a second one
@@ -128,6 +125,11 @@ class Localizer:
         order = nested(rng.permutation(len(fine.points)), (GLANCE, OWN))
         self._own = fine.points[order], fine.normals[order]  # evenly over the surface, as that tells places apart
 
+    @property
+    def center(self) -> np.ndarray:
+        """Mean (3,) of what the frames returned."""
+        return self._submap.points.mean(axis=0)
+
     def best(self, hypotheses: np.ndarray, count: int = 8, *, fixed_scale: bool = False) -> list[Place]:
         """Refine (H, 4, 4) hypotheses (submap to map), likely ones first; return the best different places, best first.
 
@@ -176,43 +178,6 @@ class Localizer:
 
     def _at_scale(self, place: Place, growth: float, center: np.ndarray) -> Place:
         return self.weighed(self.refined(place.matrix @ scaling(np.exp(growth), center), FEW, coarse=True))
-
-    def settled(self, matrix: np.ndarray) -> np.ndarray:
-        """Return a pose (4, 4) at the scale at which the submap and the map lie best on each other.
-
-        Each is scored on the other: points scattered about a surface fit what is larger better, whichever of the two
-        they belong to, so that the two scores err in opposite directions. Where they are best depends a little on
-        where they are sought from, so it is sought from several scales and the mean counts.
-        """
-        center = self._submap.points.mean(axis=0)
-        ends = [self._settled(matrix @ scaling(np.exp(step), center), center) for step in SOUGHT_FROM]
-        mean = np.exp(np.mean([np.log(scale_of(end)) for end in ends]))
-        return self.refined(matrix @ scaling(mean / scale_of(matrix), center), MANY)
-
-    def _settled(self, matrix: np.ndarray, center: np.ndarray) -> np.ndarray:
-        """Return a pose scaled about a point until a parabola through the scores of others ends where it is."""
-        wide = self._both_ways(matrix, 2.0 * STEPS, center)
-        if wide.max() > CLEARLY * wide[len(STEPS) // 2]:
-            matrix = matrix @ scaling(np.exp(2.0 * STEPS[np.argmax(wide)]), center)
-        for _ in range(ROUNDS):
-            growth = vertex(STEPS, self._both_ways(matrix, STEPS, center))
-            if growth is None:
-                break
-            matrix = matrix @ scaling(np.exp(growth), center)
-            if abs(growth) < SETTLED:
-                break
-        return matrix
-
-    def _both_ways(self, matrix: np.ndarray, steps: np.ndarray, center: np.ndarray) -> np.ndarray:
-        """Return the score (S,) of a pose after each of (S,) growths."""
-        submap = self._submap
-        near = self._map.near(submap.voxel * scale_of(matrix))
-        scores = np.empty(len(steps))
-        for k, step in enumerate(steps):
-            start = np.linalg.inv(matrix @ scaling(np.exp(step), center))
-            fit = align_through(self._points, self._normals, submap.levels[2:0:-1], start, iterations=10)
-            scores[k] = np.sqrt(fit.score * meet(submap.points, submap.normals, near, np.linalg.inv(fit.matrix))[0])
-        return scores
 
     def refined(self, matrix: np.ndarray, count: int, *, coarse: bool = False) -> np.ndarray:
         """Lay the map on the submap, the scale kept; return the pose of the submap in the map."""
@@ -299,3 +264,14 @@ def scaling(factor: float, center: np.ndarray) -> np.ndarray:
     matrix = np.diag((factor, factor, factor, 1.0))
     matrix[:3, 3] = (1.0 - factor) * center
     return matrix
+
+
+def vertex(steps: np.ndarray, scores: np.ndarray) -> float | None:
+    """Return where a parabola through (S,) scores at (S,) logarithms, even about 0, is highest, within them.
+
+    None where the scores say nothing of the scale, as of a single wall.
+    """
+    bend, slope, _ = np.polyfit(steps, scores, 2)
+    if -bend * steps[-1] ** 2 <= HELD * np.max(scores):  # also where nothing fits
+        return None
+    return float(np.clip(-0.5 * slope / bend, steps[0], steps[-1]))

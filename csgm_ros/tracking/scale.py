@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-FIRST, LOOK = 0.02, 0.015  # sigma of a scale that was just found, and of what one look says of it, relative
-HELD = 0.01  # share of the best score that the outermost scales must lose, for the scale to be seen
-LEAST = 0.004  # sigma below which nothing is believed: the map is not quite a similarity of the scene
-LARGEST_STEP = 0.005  # of the scale that is given out, at a time
-LEFT = 1.5  # sigmas that it may be off: steps to and fro would be worse
-STEPS = 0.04 * np.arange(-2, 3)  # logarithms of the scales that are compared
+FIRST = LOOK = 0.015  # sigma of a scale that was just found, and of what one look says of it, relative
+LEAST = 0.006  # sigma below which nothing is believed: the map is not quite a similarity of the scene
+LEFT = 2.5  # sigmas that it may be off: steps to and fro would be worse
+LARGEST_STEP = 0.002  # of the scale that is given out, from one frame to the next
 
 
 @dataclass(frozen=True)
@@ -26,11 +24,14 @@ class Scale:
         Relative standard deviation, NaN while unknown.
     ahead : float
         By how much what is believed lies ahead of what is given out, in its logarithm.
+    moving : bool
+        Whether the one is on its way to the other.
     """
 
     value: float = np.nan
     sigma: float = np.nan
     ahead: float = 0.0
+    moving: bool = False
 
     @classmethod
     def found(cls, value: float) -> Scale:
@@ -47,30 +48,17 @@ class Scale:
         """Whether it was found and no look has told of it since."""
         return self.sigma >= FIRST
 
-    def corrected(self, scores: np.ndarray, *, smoothly: bool = True) -> Scale:
-        """Return the scale after a look that scored ``value`` times the exponentials of :data:`STEPS`, (5,).
+    def told(self, value: float) -> Scale:
+        """Return the scale after a look that found ``value``; what is given out stays."""
+        before, now = self.sigma**-2.0, LOOK**-2.0
+        ahead = self.ahead + now / (before + now) * (np.log(value / self.value) - self.ahead)
+        sigma = max((before + now) ** -0.5, LEAST)
+        return replace(self, sigma=sigma, ahead=ahead, moving=self.moving or abs(ahead) > LEFT * sigma)
 
-        Looks that say nothing, as those on a single wall, change nothing of what is believed. Where poses are given out
-        the value follows ``smoothly``, in short steps and only where it is off by more than :data:`LEFT` sigma, and
-        loses nothing of what is believed.
-        """
-        error, ahead, sigma = vertex(STEPS, scores), self.ahead, self.sigma
-        if error is not None:
-            before, told = sigma**-2.0, LOOK**-2.0
-            ahead += told / (before + told) * (error - ahead)
-            sigma = max((before + told) ** -0.5, LEAST)
-        step = ahead
-        if smoothly:
-            step = float(np.clip(ahead, -LARGEST_STEP, LARGEST_STEP)) if abs(ahead) > LEFT * sigma else 0.0
-        return Scale(self.value * np.exp(step), sigma, ahead - step)
-
-
-def vertex(steps: np.ndarray, scores: np.ndarray) -> float | None:
-    """Return where a parabola through (S,) scores at (S,) logarithms, even about 0, is highest, within them.
-
-    None where the scores say nothing of the scale, as of a single wall.
-    """
-    bend, slope, _ = np.polyfit(steps, scores, 2)
-    if -bend * steps[-1] ** 2 <= HELD * np.max(scores):  # also where nothing fits
-        return None
-    return float(np.clip(-0.5 * slope / bend, steps[0], steps[-1]))
+    def followed(self) -> Scale:
+        """Return the scale a frame later: one that was far off comes nearer to what is believed, until it is there."""
+        if not self.moving:
+            return self
+        step = float(np.clip(self.ahead, -LARGEST_STEP, LARGEST_STEP))
+        ahead = self.ahead - step
+        return replace(self, value=self.value * np.exp(step), ahead=ahead, moving=ahead != 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,9 +11,11 @@ import numpy as np
 from csgm_ros.config import Config
 from csgm_ros.errors import Cancelled
 from csgm_ros.tracking.evidence import Evidence
-from csgm_ros.tracking.localization import Localizer, Place, Submap, scale_of
+from csgm_ros.tracking.frames import Frame
+from csgm_ros.tracking.localization import MANY, Localizer, Place, joined, scale_of, scaling
 from csgm_ros.tracking.maps import PreparedMap
 from csgm_ros.tracking.part import Part
+from csgm_ros.tracking.settling import best_scale
 from csgm_ros.types import Prior, Similarity
 
 TURNS = 700  # tried about a pose that is roughly known: with 90 degrees of freedom, 15 to 20 degrees apart
@@ -50,27 +52,31 @@ class Query(NamedTuple):
 
     Attributes
     ----------
-    submap : Submap
+    seen : sequence of (Frame, (4, 4) ndarray)
+        Frames, and their rigid poses in the frame of the odometry.
+    voxel : float
+        Of the frames, metres.
     scale : float or None
         Map units a metre, where it is known.
     prior : Prior or None
         Of the transform from the sensor to the map.
     sensor : (4, 4) ndarray
-        Rigid pose of the sensor in the submap.
+        Rigid pose of the sensor in the frame of the odometry.
     enough : tuple of float
         Closeness on the map and agreement of a place that is as good as those that were tracked; the search ends
         with the first. Infinite while none was tracked.
     wide : bool
         Search everywhere, too.
     reach : float
-        Range up to which the submap is laid on the map by its shape, median ranges: see :meth:`Submap.within`.
+        Range up to which what was seen is laid on the map by its shape, median ranges: see :meth:`Submap.within`.
     candidates : Candidates or None
         What an earlier search in this stretch of odometry could not decide between.
-    fresh : Submap or None
-        Of frames that none of those looks has seen, with ``candidates``.
+    fresh : sequence of (Frame, (4, 4) ndarray)
+        Those that none of those looks has seen.
     """
 
-    submap: Submap
+    seen: Sequence[tuple[Frame, np.ndarray]]
+    voxel: float
     scale: float | None
     prior: Prior | None
     sensor: np.ndarray
@@ -78,7 +84,7 @@ class Query(NamedTuple):
     wide: bool = True
     reach: float = np.inf
     candidates: Candidates | None = None
-    fresh: Submap | None = None
+    fresh: Sequence[tuple[Frame, np.ndarray]] = ()
 
 
 class Found(NamedTuple):
@@ -110,7 +116,8 @@ def search(
             raise Cancelled('the session was closed')
 
     rng = np.random.default_rng(seed)
-    localizer = Localizer(query.submap, prepared, rng)
+    submap = joined(query.seen, query.voxel)
+    localizer = Localizer(submap, prepared, rng)
     known = query.scale is not None
     places: list[Place] = []
     if query.prior is not None:
@@ -119,14 +126,14 @@ def search(
             places = localizer.best(localizer.promising(some, 6), 3, fixed_scale=known)
             if places and _views_say(places, localizer)[0] >= STANDING_OUT and places[0].evidence.reaches(query.enough):
                 return Found(places[0].matrix, 'near where it was expected', places[0].evidence)
-    if query.candidates is not None and query.fresh is not None:
-        found = look_again(query.candidates, Localizer(query.fresh, prepared, rng))
+    if query.candidates is not None and query.fresh:
+        found = look_again(query.candidates, Localizer(joined(query.fresh, query.voxel), prepared, rng))
         if found.matrix is not None or found.candidates is not None:
-            return found if known else settled(found, localizer)
+            return found if known else settled(found, query, prepared, localizer, rng)
     if not query.wide:
         return Found(None, 'not near where it was expected')
     look()
-    part = Part(query.submap.within(query.reach), prepared.points, seed, look)
+    part = Part(submap.within(query.reach), prepared.points, seed, look)
     places = localizer.distinct(places + _anywhere(part, localizer, config, query.scale, look))
     if not known and places and fits(places[0].evidence):
         # among all scales a twin of a place is easily missed, among those of the place's own it is not
@@ -135,12 +142,19 @@ def search(
         twins = [twin for twin in twins if not any(localizer.alike(twin.matrix, matrix) for matrix in here)]
         places = localizer.distinct(places + twins)
     found = judged(places, part, localizer, query)
-    return found if known else settled(found, localizer)
+    return found if known else settled(found, query, prepared, localizer, rng)
 
 
-def settled(found: Found, localizer: Localizer) -> Found:
-    """Return what was found among all scales at the scale that all that was seen agrees on."""
-    return found if found.matrix is None else found._replace(matrix=localizer.settled(found.matrix))
+def settled(found: Found, query: Query, prepared: PreparedMap, localizer: Localizer, rng: np.random.Generator) -> Found:
+    """Return what was found among all scales at the scale that all that was seen agrees on; else it is not certain."""
+    if found.matrix is None:
+        return found
+    scale = best_scale(query.seen, query.voxel, prepared, found.matrix, rng)
+    if scale is None:
+        candidates = Candidates(found.matrix[None], np.array([CERTAIN]), 1)
+        return Found(None, f'{found.reason}; what was seen does not tell the scale', candidates=candidates)
+    grown = found.matrix @ scaling(scale / scale_of(found.matrix), localizer.center)
+    return found._replace(matrix=localizer.refined(grown, MANY))
 
 
 def _anywhere(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from typing import Any, NamedTuple
 
@@ -13,21 +14,21 @@ from csgm_ros.config import Config, profile
 from csgm_ros.errors import CsgmError, InputError
 from csgm_ros.tracking import frames, localization, maps
 from csgm_ros.tracking.alignment import Fit, align, align_through
-from csgm_ros.tracking.evidence import Evidence, meet, weigh
+from csgm_ros.tracking.evidence import Evidence, weigh
 from csgm_ros.tracking.frames import Frame
 from csgm_ros.tracking.localization import scale_of, scaling
 from csgm_ros.tracking.maps import PreparedMap
 from csgm_ros.tracking.odometry import Odometry, between
-from csgm_ros.tracking.scale import STEPS, Scale
+from csgm_ros.tracking.scale import Scale
 from csgm_ros.tracking.search import Candidates, Found, Query, expected, search
+from csgm_ros.tracking.settling import LEAST_FRAMES, best_scale
 from csgm_ros.tracking.views import seen
 from csgm_ros.types import Estimate, Prior
 
 LOST, LOCALIZING, TRACKING = 'lost', 'localizing', 'tracking'
 MIN_POINTS = 200
 SAMPLES = 2500
-SCALE_EVERY, SCALE_SAMPLES, SCALE_FRAMES = 5, 2500, 6  # frames between corrections; points of the map, frames asked
-SEEN = 0.8  # of the share on the map of frames that are tracked: beside the map a larger one fits better
+SCALE_EVERY = 2.0  # seconds of new frames that are worth another look at the scale
 LATELY, BETWEEN = 6, 2  # frames that are laid on the map, and every which one they are
 GAIN = 0.5  # of a correction of the map's place relative to the odometry
 WORSE = 2.5  # times as much may disagree in a single frame as in all that were searched for
@@ -58,8 +59,8 @@ class Session:
     seed : int, optional
         Same frames, configuration and seed: same bits, where no executor decides when a search ends.
     executor : concurrent.futures.Executor, optional
-        Where the place is searched for while frames keep coming; a pool of one thread will do. Without one
-        :meth:`add` searches itself, and takes seconds while lost.
+        Where place and scale are searched for while frames keep coming; a pool of one thread will do. Without one
+        :meth:`add` does so itself, and takes seconds while lost.
     """
 
     def __init__(
@@ -83,7 +84,8 @@ class Session:
         self._place: Any = None  # once localized, T_map_odometry of this segment
         self._confirmed = 0
         self._scale = Scale()
-        self._since_scaled = 0  # tracked frames since the scale was corrected
+        self._look: Future | None = None  # at the scale, under way
+        self._scaled = -np.inf  # stamp of the newest frame that was asked for it
         self._level: Any = None  # Level of the map, once localized
         self._prior: Prior | None = None
         self._job: Job | None = None
@@ -153,6 +155,7 @@ class Session:
         )
 
     def _take(self, points: np.ndarray, stamp: float, odometry: np.ndarray | None) -> Evidence | None:
+        self._believe()
         self._collect()
         part = self.config.tracking
         if stamp < self._stamp:
@@ -170,7 +173,9 @@ class Session:
         frame = frames.prepared(points, self._voxel)
         self._move(frame, stamp, odometry)
         evidence = self._judge(frame)
-        if self._state != TRACKING:
+        if self._state == TRACKING:
+            self._look_at_scale()
+        else:
             self._seek(stamp)
         return evidence
 
@@ -245,10 +250,7 @@ class Session:
         gain = GAIN if self._state == TRACKING else 1.0  # a place just found has no past to be steadied by
         self._place = between(self._place, self._centred(np.linalg.inv(fit.matrix)), gain)
         self._covariance = self._covariance_of(fit)
-        self._since_scaled += 1
-        if self._since_scaled >= SCALE_EVERY and len(visible) >= SCALE_SAMPLES:
-            self._since_scaled = 0
-            self._correct_scale()
+        self._follow_scale(frame, matrix)
 
     def _laid(self, chosen: np.ndarray, start: np.ndarray) -> Fit:
         """Lay chosen points of the map on what was seen lately, the scale kept."""
@@ -257,35 +259,30 @@ class Session:
 
     def _centred(self, place: np.ndarray) -> np.ndarray:
         """Return a place half-way to where what was seen lately lies best on the map: the two err differently."""
-        lately = [(frame, matrix) for _, frame, matrix in self._recent[::-BETWEEN][:LATELY]]
-        points, normals = localization.sampled(lately, SAMPLES)
+        points, normals = localization.sampled(_seen(self._recent[::-BETWEEN][:LATELY]), SAMPLES)
         near = self._level.near
         return between(place, align(points, normals, near, place, (near.voxel,), iterations=5).matrix, 0.5)
 
-    def _correct_scale(self) -> None:
-        """Lay the map on what was seen at several scales about what was in view, which stays where it is.
+    def _follow_scale(self, frame: Frame, matrix: np.ndarray) -> None:
+        """Let the place follow what is believed of the scale, about what the newest frame saw, which stays."""
+        self._scale = self._scale.followed()
+        center = localization.moved(matrix, frame.points).mean(axis=0)
+        self._place = self._place @ scaling(self._scale.value / scale_of(self._place), center)
 
-        Each cloud is scored on the other: points scattered about a surface fit what is larger or nearer better,
-        whichever cloud they belong to, so that the two scores err in opposite directions.
-        """
-        inverse, lately = np.linalg.inv(self._place), self._recent[::-SCALE_EVERY][:SCALE_FRAMES]
-        views = [frame.view._replace(matrix=matrix) for _, frame, matrix in lately]
-        visible = np.flatnonzero(np.any([seen(self._level.points, inverse, view, 0.15) > 0 for view in views], axis=0))
-        chosen = np.sort(self._rng.permutation(visible)[:SCALE_SAMPLES])
-        points, normals = self._level.points[chosen], self._level.normals[chosen]
-        center = localization.moved(inverse, points).mean(axis=0)
-        samples = [(*frame.sample(SCALE_SAMPLES // SCALE_FRAMES), matrix) for _, frame, matrix in lately]
-        ours, theirs, shares = np.zeros((3, len(STEPS)))
-        for k, step in enumerate(STEPS):
-            start = scaling(np.exp(step), center) @ inverse
-            fit = align_through(points, normals, self._odometry.model[:2], start, iterations=10)
-            place, theirs[k] = np.linalg.inv(fit.matrix), fit.score
-            met = [meet(own, turned, self._level.near, place @ matrix) for own, turned, matrix in samples]
-            ours[k], shares[k] = np.mean(met, axis=0)
-        scores = np.sqrt(ours * theirs)
-        if scores.any() and shares[len(STEPS) // 2] >= SEEN * self._typical[1]:
-            self._scale = self._scale.corrected(scores[::-1], smoothly=self._state == TRACKING)
-            self._place = self._place @ scaling(self._scale.value / scale_of(self._place), center)
+    def _look_at_scale(self) -> None:
+        """Have it found out, beside what goes on, at which scale what was seen lately lies best on the map."""
+        fresh = [item for item in self._recent if item[0] > self._scaled]
+        if self._look is None and _span(fresh) >= SCALE_EVERY:
+            self._scaled = self._stamp
+            inputs = _seen(self._recent), self._voxel, self._map, self._place, np.random.default_rng(self._seed)
+            self._look = _submitted(self._executor, best_scale, *inputs)
+
+    def _believe(self) -> None:
+        """Take the result of a look at the scale that has ended."""
+        if self._look is not None and self._look.done():
+            scale, self._look = self._look.result(), None
+            if scale is not None:
+                self._scale = self._scale.told(scale)
 
     def _covariance_of(self, fit: Fit) -> np.ndarray:
         """Return the covariance of the sensor's pose in the metric map."""
@@ -343,12 +340,12 @@ class Session:
         self._glanced = True
         scale = self._scale.value if known else None
         reach = REACHES[self._searches % len(REACHES)]
-        submap, sensor = self._joined(self._recent), self._odometry.matrix
-        query = Query(submap, scale, self._prior, sensor, self._enough(), wide, reach)
+        sensor = self._odometry.matrix
+        query = Query(_seen(self._recent), self._voxel, scale, self._prior, sensor, self._enough(), wide, reach)
         if self._candidates is not None:
-            query = query._replace(candidates=self._candidates, fresh=self._joined(fresh))
-        inputs = query, self._map, self.config, self._seed, self._closed
-        self._job = Job(self._segment, stamp, sensor, _submitted(self._executor, *inputs))
+            query = query._replace(candidates=self._candidates, fresh=_seen(fresh))
+        inputs = query, self._map, self.config, int(self._rng.integers(2**31)), self._closed
+        self._job = Job(self._segment, stamp, sensor, _submitted(self._executor, search, *inputs))
         self._looked = stamp if wide else self._looked
         if self._state == LOST:
             self._state, self._reason = LOCALIZING, f'searching: {self._reason}'
@@ -370,13 +367,13 @@ class Session:
         if found.matrix is None:
             self._searches += found.candidates is None or found.candidates.looks == 1
             if self._searches > len(REACHES) and self._scale.unconfirmed:
-                self._scale, self._prior, self._searches = Scale(), None, 0
+                self._scale, self._look, self._prior, self._searches = Scale(), None, None, 0
             if self._place is None:
                 self._reason = f'not found: {found.reason}'
             return
         self._searches = 0
         self._place, self._confirmed = found.matrix, 0
-        self._supported, self._since_scaled = self._stamp, 0
+        self._supported = self._scaled = self._stamp
         self._level = self._map.level(self._voxel * self._scale.value)
         self._state, self._reason = LOCALIZING, f'found: {found.reason}'
         if settled:  # else frames may say so only once the place is found at the scale that is just known
@@ -392,9 +389,6 @@ class Session:
         if evidence is not None and not self._typical.any():
             self._typical = np.array(evidence[:3])
 
-    def _joined(self, items: list[tuple[float, Frame, np.ndarray]]) -> localization.Submap:
-        return localization.joined([(frame, matrix) for _, frame, matrix in items], self._voxel)
-
 
 def warm_up() -> None:
     """Compile every kernel, or load it from the disk, by following a sensor that stands still in a corner."""
@@ -409,9 +403,9 @@ def warm_up() -> None:
     session._place, session._level = np.eye(4), session._map.level(0.03)
     session._judge(frame)
     session._prior, session._typical = expected(np.eye(4)), np.array((1e-3, 0.0, 0.5))
-    submap = localization.joined([(frame, np.eye(4))], 0.03)
+    parts = [(frame, np.eye(4))] * LEAST_FRAMES
     for scale, prior in ((1.0, session._prior), (None, None)):
-        search(Query(submap, scale, prior, np.eye(4), (0.0, 0.0)), session._map, session.config, 0)
+        search(Query(parts, 0.03, scale, prior, np.eye(4), (0.0, 0.0)), session._map, session.config, 0)
 
 
 def _span(items: list[tuple[float, Frame, np.ndarray]]) -> float:
@@ -419,12 +413,16 @@ def _span(items: list[tuple[float, Frame, np.ndarray]]) -> float:
     return items[-1][0] - items[0][0] if items else -1.0
 
 
-def _submitted(executor: Executor | None, *inputs) -> Future:
+def _seen(items: list[tuple[float, Frame, np.ndarray]]) -> list[tuple[Frame, np.ndarray]]:
+    return [(frame, matrix) for _, frame, matrix in items]
+
+
+def _submitted(executor: Executor | None, work: Callable, *inputs) -> Future:
     if executor is not None:
-        return executor.submit(search, *inputs)
+        return executor.submit(work, *inputs)
     future: Future = Future()
     try:
-        future.set_result(search(*inputs))
+        future.set_result(work(*inputs))
     except Exception as error:
         future.set_exception(error)
     return future

@@ -14,8 +14,8 @@ from csgm_ros.tracking.part import Part
 from csgm_ros.tracking.search import LOOKS, MOST_LEAD, Candidates, Query, judged, leads, look_again, search
 
 
-def submap(sequence, first, count):
-    """Join frames as the session does."""
+def walked(sequence, first, count):
+    """Return frames with their poses as the session has them, their voxel, and the pose of the last."""
     voxel = frames.resolution(sequence.points(first), profile().tracking.resolution)
     odometry, parts = Odometry(voxel, np.random.default_rng(0)), []
     for number in range(first, first + count):
@@ -23,15 +23,15 @@ def submap(sequence, first, count):
         frame = frames.prepared(points[points[:, 2] > 0], voxel)
         assert odometry.add(frame, sequence.stamps[number])
         parts.append((frame, odometry.matrix.copy()))
-    return localization.joined(parts, voxel), parts[-1][1]
+    return parts, voxel, parts[-1][1]
 
 
 @pytest.fixture(scope='module')
 def seen(shared):
     """A submap, its map, and its true pose there."""
     kitchen = Sequence(shared / 'data' / 'sequence_kitchen')
-    made, _ = submap(kitchen, 50, 5)
-    return made, prepare_map(kitchen.map), kitchen.truth[50]
+    parts, voxel, _ = walked(kitchen, 50, 5)
+    return localization.joined(parts, voxel), prepare_map(kitchen.map), kitchen.truth[50]
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def test_views_and_surfaces_make_the_right_place_certain_and_no_other(seen, angl
     localizer = Localizer(submap, prepared, np.random.default_rng(0))
     part = Part(submap.within(1.5), prepared.points, 0)
     places = localizer.distinct([localizer.weighed(turned(truth, angle)) for angle in angles])
-    found = judged(places, part, localizer, Query(submap, None, None, np.eye(4)))
+    found = judged(places, part, localizer, Query((), submap.voxel, None, None, np.eye(4)))
     assert (found.matrix is not None) is certain
     assert found.candidates is None
     assert not certain or scale_of(found.matrix) == pytest.approx(scale_of(truth))
@@ -106,8 +106,8 @@ def test_places_that_are_all_wrong_are_dropped_after_some_looks(fresh):
 def test_a_kitchen_is_found_in_its_own_map_and_in_no_other(shared, place):
     kitchen = Sequence(shared / 'data' / 'sequence_kitchen')
     map_ = Sequence(shared / 'data' / f'sequence_{place}').map
-    made, sensor = submap(kitchen, 40, 10)
-    found = search(Query(made, None, None, sensor, reach=1.5), prepare_map(map_), profile(), 0)
+    parts, voxel, sensor = walked(kitchen, 40, 10)
+    found = search(Query(parts, voxel, None, None, sensor, reach=1.5), prepare_map(map_), profile(), 0)
     if place == 'desk':
         assert found.matrix is None
     else:
@@ -117,11 +117,11 @@ def test_a_kitchen_is_found_in_its_own_map_and_in_no_other(shared, place):
 @pytest.mark.parametrize(('first', 'turn'), [(36, 0), (44, 180), (58, 90)])
 def test_of_two_kitchens_alike_on_one_floor_neither_is_believed(shared, first, turn):
     kitchen = Sequence(shared / 'data' / 'sequence_kitchen')
-    made, sensor = submap(kitchen, first, 10)
+    parts, voxel, sensor = walked(kitchen, first, 10)
     order = np.random.default_rng(0).permutation(len(kitchen.map))
     one, other = (kitchen.map[half] for half in np.array_split(order, 2))
     up, aside = np.array(((-0.691, 0.702, 0.175), (0.713, 0.673, 0.116)))  # of the map
     rotation, middle = Rotation.from_rotvec(turn * up, degrees=True).as_matrix(), np.median(kitchen.map, axis=0)
     length = 1.5 * np.ptp(kitchen.map @ aside)
     both = np.concatenate([one, (other - middle) @ rotation.T + middle + length * aside])
-    assert search(Query(made, None, None, sensor, reach=1.5), prepare_map(both), profile(), 0).matrix is None
+    assert search(Query(parts, voxel, None, None, sensor, reach=1.5), prepare_map(both), profile(), 0).matrix is None
