@@ -233,6 +233,6 @@ def around(prior: Prior, query: Query, rng: np.random.Generator) -> np.ndarray:
     return poses @ np.linalg.inv(query.sensor)
 
 
-def expected(matrix: np.ndarray) -> Prior:
-    """Return the prior of a sensor that was last seen at a pose (4, 4) in the map."""
-    return Prior(Similarity.from_matrix(matrix), (SIGMA[0] * scale_of(matrix), *SIGMA[1:]))
+def expected(matrix: np.ndarray, sigma: tuple[float, float, float] = SIGMA) -> Prior:
+    """Return the prior of a sensor that is expected at a pose (4, 4) in the map: metres, degrees, relative scale."""
+    return Prior(Similarity.from_matrix(matrix), (sigma[0] * scale_of(matrix), *sigma[1:]))

@@ -19,16 +19,18 @@ from csgm_ros.tracking.frames import Frame
 from csgm_ros.tracking.localization import scale_of, scaling
 from csgm_ros.tracking.maps import PreparedMap
 from csgm_ros.tracking.odometry import Odometry, between
+from csgm_ros.tracking.recheck import recheck
 from csgm_ros.tracking.scale import Scale
 from csgm_ros.tracking.search import Candidates, Found, Query, expected, search
-from csgm_ros.tracking.settling import LEAST_FRAMES, best_scale
+from csgm_ros.tracking.settling import LEAST_FRAMES
 from csgm_ros.tracking.views import seen
 from csgm_ros.types import Estimate, Prior
 
 LOST, LOCALIZING, TRACKING = 'lost', 'localizing', 'tracking'
 MIN_POINTS = 200
 SAMPLES = 2500
-SCALE_EVERY = 2.0  # seconds of new frames that are worth another look at the scale
+SOON, EVERY = 0.3, 2.0  # seconds of new frames after which a place that was found is checked first, and then again
+ASTRAY = 0.3, 25.0, 0.05  # sigma of a sensor about a place that may be a little off: metres, degrees, relative scale
 LATELY, BETWEEN = 6, 2  # frames that are laid on the map, and every which one they are
 GAIN = 0.5  # of a correction of the map's place relative to the odometry
 WORSE = 2.5  # times as much may disagree in a single frame as in all that were searched for
@@ -40,11 +42,15 @@ CORRELATION = 30.0  # neighbouring points share their error: this many count as 
 
 
 class Job(NamedTuple):
-    """A search under way: for which stretch of odometry, up to when, where the sensor was then, and what it found."""
+    """A search under way: for which stretch of odometry, up to when, where the sensor was then, and what it found.
+
+    ``prior`` is where it was expected.
+    """
 
     segment: int
     stamp: float
     sensor: np.ndarray
+    prior: Prior | None
     future: Future
 
 
@@ -84,8 +90,9 @@ class Session:
         self._place: Any = None  # once localized, T_map_odometry of this segment
         self._confirmed = 0
         self._scale = Scale()
-        self._look: Future | None = None  # at the scale, under way
-        self._scaled = -np.inf  # stamp of the newest frame that was asked for it
+        self._found: Any = None  # Job that led to the place
+        self._check: tuple[int, Future] | None = None  # under way, for which stretch of odometry
+        self._checks, self._checked = 0, -np.inf  # of the place, and stamp of the newest frame that was asked
         self._level: Any = None  # Level of the map, once localized
         self._prior: Prior | None = None
         self._job: Job | None = None
@@ -155,7 +162,7 @@ class Session:
         )
 
     def _take(self, points: np.ndarray, stamp: float, odometry: np.ndarray | None) -> Evidence | None:
-        self._believe()
+        self._learn_more()
         self._collect()
         part = self.config.tracking
         if stamp < self._stamp:
@@ -174,7 +181,7 @@ class Session:
         self._move(frame, stamp, odometry)
         evidence = self._judge(frame)
         if self._state == TRACKING:
-            self._look_at_scale()
+            self._recheck()
         else:
             self._seek(stamp)
         return evidence
@@ -269,20 +276,47 @@ class Session:
         center = localization.moved(matrix, frame.points).mean(axis=0)
         self._place = self._place @ scaling(self._scale.value / scale_of(self._place), center)
 
-    def _look_at_scale(self) -> None:
-        """Have it found out, beside what goes on, at which scale what was seen lately lies best on the map."""
-        fresh = [item for item in self._recent if item[0] > self._scaled]
-        if self._look is None and _span(fresh) >= SCALE_EVERY:
-            self._scaled = self._stamp
-            inputs = _seen(self._recent), self._voxel, self._map, self._place, np.random.default_rng(self._seed)
-            self._look = _submitted(self._executor, best_scale, *inputs)
+    def _recheck(self) -> None:
+        """Have it found out, beside what goes on, whether what was seen lies better elsewhere or at another scale.
 
-    def _believe(self) -> None:
-        """Take the result of a look at the scale that has ended."""
-        if self._look is not None and self._look.done():
-            scale, self._look = self._look.result(), None
-            if scale is not None:
-                self._scale = self._scale.told(scale)
+        First by what was seen since the place was found, everywhere where it was sought; then by all that was seen
+        lately.
+        """
+        fresh = [item for item in self._recent if item[0] > self._checked]
+        first = self._checks == 0
+        if self._check is not None or _span(fresh) < (SOON if first else EVERY):
+            return
+        items, sensor = self._recent, self._odometry.matrix
+        prior = expected(self._place @ sensor, ASTRAY)
+        if first:
+            items = [item for item in items if item[0] >= self._found.stamp]
+            prior = self._found.prior or prior
+        query = Query(_seen(items), self._voxel, self._scale.value, prior, sensor, self._enough())
+        inputs = query, self._map, self._place, self._drawn(), not first
+        self._check = self._segment, _submitted(self._executor, recheck, *inputs)
+        self._checks, self._checked = self._checks + 1, self._stamp
+
+    def _learn_more(self) -> None:
+        """Take the result of a check that has ended."""
+        if self._check is None or not self._check[1].done():
+            return
+        (segment, future), self._check = self._check, None
+        better, scale = future.result()
+        if scale is not None and self._scale.known:
+            self._scale = self._scale.told(scale)
+        if better is not None and segment == self._segment:
+            self._found = self._found._replace(stamp=self._stamp)
+            self._settle_at(better, 'what was seen since lies better there')
+
+    def _settle_at(self, place: np.ndarray, reason: str) -> None:
+        """Go on from a place, which frames must confirm before poses are given out."""
+        self._place, self._confirmed, self._checks = place, 0, 0
+        self._supported = self._checked = self._stamp
+        self._state, self._reason = LOCALIZING, f'found: {reason}'
+
+    def _drawn(self) -> int:
+        """Return another seed: what one search does not hit upon, the next may."""
+        return int(self._rng.integers(2**31))
 
     def _covariance_of(self, fit: Fit) -> np.ndarray:
         """Return the covariance of the sensor's pose in the metric map."""
@@ -344,8 +378,8 @@ class Session:
         query = Query(_seen(self._recent), self._voxel, scale, self._prior, sensor, self._enough(), wide, reach)
         if self._candidates is not None:
             query = query._replace(candidates=self._candidates, fresh=_seen(fresh))
-        inputs = query, self._map, self.config, int(self._rng.integers(2**31)), self._closed
-        self._job = Job(self._segment, stamp, sensor, _submitted(self._executor, search, *inputs))
+        inputs = query, self._map, self.config, self._drawn(), self._closed
+        self._job = Job(self._segment, stamp, sensor, self._prior, _submitted(self._executor, search, *inputs))
         self._looked = stamp if wide else self._looked
         if self._state == LOST:
             self._state, self._reason = LOCALIZING, f'searching: {self._reason}'
@@ -367,15 +401,14 @@ class Session:
         if found.matrix is None:
             self._searches += found.candidates is None or found.candidates.looks == 1
             if self._searches > len(REACHES) and self._scale.unconfirmed:
-                self._scale, self._look, self._prior, self._searches = Scale(), None, None, 0
+                self._scale, self._check, self._prior, self._searches = Scale(), None, None, 0
             if self._place is None:
                 self._reason = f'not found: {found.reason}'
             return
         self._searches = 0
-        self._place, self._confirmed = found.matrix, 0
-        self._supported = self._scaled = self._stamp
+        self._found = job
+        self._settle_at(found.matrix, found.reason)
         self._level = self._map.level(self._voxel * self._scale.value)
-        self._state, self._reason = LOCALIZING, f'found: {found.reason}'
         if settled:  # else frames may say so only once the place is found at the scale that is just known
             for stamp, frame, matrix in self._recent:
                 self._confirmed += stamp >= job.stamp and self._confirms(self._evidence(frame, matrix))

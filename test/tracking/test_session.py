@@ -9,7 +9,7 @@ from sequences import Sequence
 from csgm_ros import Session
 from csgm_ros.config import profile, replaced
 from csgm_ros.errors import InputError
-from csgm_ros.tracking import frames, maps, scale, settling, surface, views
+from csgm_ros.tracking import frames, maps, recheck, scale, settling, surface, views
 from csgm_ros.tracking.alignment import align
 from csgm_ros.tracking.evidence import Evidence
 from csgm_ros.tracking.localization import moved, scale_of, scaling, vertex
@@ -18,11 +18,11 @@ from csgm_ros.tracking.search import Found
 
 
 class Never:
-    """Searches for nothing: whoever asked is told the result by the test. Looks at the scale are had at once."""
+    """Searches for nothing: whoever asked is told the result by the test. A place is checked at once."""
 
     def submit(self, work, *inputs):
         future = Future()
-        if work is settling.best_scale:
+        if work is recheck.recheck:
             future.set_result(work(*inputs))
         return future
 
@@ -194,6 +194,23 @@ def test_a_noisy_map_pulls_the_scale_that_a_search_found_to_neither_side(desk, f
     seen = [(frame, matrix) for _, frame, matrix in session._recent]
     found = settling.best_scale(seen, session._voxel, session._map, place, np.random.default_rng(0))
     assert abs(np.log(found / scale_of(true))) < 0.03
+
+
+@pytest.mark.parametrize('beside', [motion((0, 0, 30), (0, 0.2, 0)), motion((0, 0, 60), (0, 0, 0))])
+def test_a_place_that_was_found_beside_the_right_one_is_left_for_it(desk, beside):
+    """As where a single frame fits as well: tracked on from there it would stay beside."""
+    session, shifts = Session(desk.map, executor=Never()), {}
+    for k in range(115, 135):
+        pose = session.add(desk.points(k), desk.stamps[k]).T_map_sensor
+        if pose is not None:
+            shifts[k] = desk.errors(k, pose)[1]
+        if session._job is not None and session._found is None:
+            matrix = desk.truth[k] @ beside @ np.linalg.inv(session._odometry.matrix)
+            session._job.future.set_result(Found(matrix, 'told', Evidence(0.1, 0.5, 0.8, 3000)))
+    first, last = min(shifts), max(shifts)
+    assert shifts[first] > 0.15
+    assert last == 134
+    assert all(shifts[k] < 0.1 for k in shifts if k >= first + 4)
 
 
 def test_a_single_wall_does_not_tell_the_scale():

@@ -1,0 +1,56 @@
+"""A second look at a place while it is tracked: whether a better one is near, and at which scale it lies best.
+
+A frame may fit beside its place as well as in it, above all a single one that a place was found by. What was seen since
+does so no more.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from csgm_ros.tracking.localization import MANY, Localizer, joined
+from csgm_ros.tracking.maps import PreparedMap
+from csgm_ros.tracking.search import Query, around
+from csgm_ros.tracking.settling import best_scale
+
+BETTER = 1.2  # times as good must another place be
+PROMISING, PLACES = 6, 3  # hypotheses that are refined at most, and different places that they lead to
+
+
+class Second(NamedTuple):
+    """What a second look found.
+
+    Attributes
+    ----------
+    matrix : (4, 4) ndarray or None
+        A better place, from the frame of the odometry to the map.
+    scale : float or None
+        Map units a metre, where the place stands and the frames tell it.
+    """
+
+    matrix: np.ndarray | None = None
+    scale: float | None = None
+
+
+def recheck(query: Query, prepared: PreparedMap, place: np.ndarray, seed: int, settle: bool) -> Second:
+    """Look near the prior of a query for a better place than a (4, 4) one; else, where asked to, for its scale."""
+    rng = np.random.default_rng(seed)
+    better = elsewhere(query, prepared, place, rng)
+    if better is not None or not settle:
+        return Second(better)
+    return Second(scale=best_scale(query.seen, query.voxel, prepared, place, rng))
+
+
+def elsewhere(query: Query, prepared: PreparedMap, place: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
+    """Return a pose (4, 4) near the prior of a query where what was seen fits much better than at ``place``."""
+    if query.prior is None:
+        return None
+    localizer = Localizer(joined(query.seen, query.voxel), prepared, rng)
+    here = localizer.weighed(localizer.refined(place, MANY))
+    hypotheses = localizer.promising(around(query.prior, query, rng), PROMISING)
+    best, *_ = localizer.best(hypotheses, PLACES, fixed_scale=True)
+    if localizer.alike(best.matrix, here.matrix) or best.score < BETTER * here.score:
+        return None
+    return best.matrix if best.evidence.reaches(query.enough) else None
