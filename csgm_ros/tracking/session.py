@@ -36,7 +36,7 @@ GAIN = 0.5  # of a correction of the map's place relative to the odometry
 WORSE = 2.5  # times as much may disagree in a single frame as in all that were searched for
 SIMILAR = 0.6  # of what was tracked: closeness at which a place is as good
 REACHES = 1.5, np.inf  # of the searches, one after the other: what one does not find, the next may
-FRESH = 0.4  # of the first seconds: new frames that are worth another look
+FRESH = 0.25  # of the first seconds: new frames that are worth another look
 FLOOR = 0.02, 0.02  # systematic error of a map that is not quite a similarity of the scene: metres, radians
 CORRELATION = 30.0  # neighbouring points share their error: this many count as one
 
