@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from csgm_ros.tracking.localization import MANY, Localizer, joined
+from csgm_ros.tracking.localization import Localizer, joined
 from csgm_ros.tracking.maps import PreparedMap
 from csgm_ros.tracking.search import Query, around
 from csgm_ros.tracking.settling import best_scale
@@ -48,9 +48,9 @@ def elsewhere(query: Query, prepared: PreparedMap, place: np.ndarray, rng: np.ra
     if query.prior is None:
         return None
     localizer = Localizer(joined(query.seen, query.voxel), prepared, rng)
-    here = localizer.weighed(localizer.refined(place, MANY))
+    here = localizer.weighed(place)
     hypotheses = localizer.promising(around(query.prior, query, rng), PROMISING)
-    best, *_ = localizer.best(hypotheses, PLACES, fixed_scale=True)
-    if localizer.alike(best.matrix, here.matrix) or best.score < BETTER * here.score:
+    best, *_ = localizer.best(np.concatenate((place[None], hypotheses)), 1 + PLACES, fixed_scale=True)
+    if localizer.alike(best.matrix, place) or best.score < BETTER * here.score:
         return None
     return best.matrix if best.evidence.reaches(query.enough) else None
