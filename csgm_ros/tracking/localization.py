@@ -53,6 +53,11 @@ class Submap:
     points: np.ndarray
     normals: np.ndarray
 
+    @property
+    def center(self) -> np.ndarray:
+        """Mean (3,) of what the frames returned."""
+        return self.points.mean(axis=0)
+
     def within(self, reach: float) -> np.ndarray:
         """Return the (N, 3) points no farther from where they were seen than ``reach`` times the median range.
 
@@ -125,11 +130,6 @@ class Localizer:
         order = nested(rng.permutation(len(fine.points)), (GLANCE, OWN))
         self._own = fine.points[order], fine.normals[order]  # evenly over the surface, as that tells places apart
 
-    @property
-    def center(self) -> np.ndarray:
-        """Mean (3,) of what the frames returned."""
-        return self._submap.points.mean(axis=0)
-
     def best(self, hypotheses: np.ndarray, count: int = 8, *, fixed_scale: bool = False) -> list[Place]:
         """Refine (H, 4, 4) hypotheses (submap to map), likely ones first; return the best different places, best first.
 
@@ -185,6 +185,10 @@ class Localizer:
         points, normals = self._points[:count], self._normals[:count]
         levels = [self._submap.levels[level] for level in ((3, 2, 1) if coarse else (2, 1, 0))]
         return np.linalg.inv(align_through(points, normals, levels, start, iterations=8).matrix)
+
+    def rescaled(self, matrix: np.ndarray, scale: float) -> np.ndarray:
+        """Return a pose (4, 4) at another scale, map units a metre, about what was seen."""
+        return self.refined(matrix @ scaling(scale / scale_of(matrix), self._submap.center), MANY)
 
     def weighed(self, matrix: np.ndarray) -> Place:
         """Return a place with what speaks for it."""

@@ -12,7 +12,7 @@ from csgm_ros.config import Config
 from csgm_ros.errors import Cancelled
 from csgm_ros.tracking.evidence import Evidence
 from csgm_ros.tracking.frames import Frame
-from csgm_ros.tracking.localization import MANY, Localizer, Place, joined, scale_of, scaling
+from csgm_ros.tracking.localization import Localizer, Place, joined, scale_of
 from csgm_ros.tracking.maps import PreparedMap
 from csgm_ros.tracking.part import Part
 from csgm_ros.tracking.settling import best_scale
@@ -153,8 +153,7 @@ def settled(found: Found, query: Query, prepared: PreparedMap, localizer: Locali
     if scale is None:
         candidates = Candidates(found.matrix[None], np.array([CERTAIN]), 1)
         return Found(None, f'{found.reason}; what was seen does not tell the scale', candidates=candidates)
-    grown = found.matrix @ scaling(scale / scale_of(found.matrix), localizer.center)
-    return found._replace(matrix=localizer.refined(grown, MANY))
+    return found._replace(matrix=localizer.rescaled(found.matrix, scale))
 
 
 def _anywhere(

@@ -92,7 +92,7 @@ class Session:
         self._scale = Scale()
         self._found: Any = None  # Job that led to the place
         self._check: tuple[int, Future] | None = None  # under way, for which stretch of odometry
-        self._checks, self._checked = 0, -np.inf  # of the place, and stamp of the newest frame that was asked
+        self._unchecked, self._checked = True, -np.inf  # the place, and stamp of the newest frame that was asked
         self._level: Any = None  # Level of the map, once localized
         self._prior: Prior | None = None
         self._job: Job | None = None
@@ -273,7 +273,7 @@ class Session:
     def _follow_scale(self, frame: Frame, matrix: np.ndarray) -> None:
         """Let the place follow what is believed of the scale, about what the newest frame saw, which stays."""
         self._scale = self._scale.followed()
-        center = localization.moved(matrix, frame.points).mean(axis=0)
+        center = localization.moved(matrix, frame.points.mean(axis=0))
         self._place = self._place @ scaling(self._scale.value / scale_of(self._place), center)
 
     def _recheck(self) -> None:
@@ -283,7 +283,7 @@ class Session:
         lately.
         """
         fresh = [item for item in self._recent if item[0] > self._checked]
-        first = self._checks == 0
+        first = self._unchecked
         if self._check is not None or _span(fresh) < (SOON if first else EVERY):
             return
         items, sensor = self._recent, self._odometry.matrix
@@ -294,7 +294,7 @@ class Session:
         query = Query(_seen(items), self._voxel, self._scale.value, prior, sensor, self._enough())
         inputs = query, self._map, self._place, self._drawn(), not first
         self._check = self._segment, _submitted(self._executor, recheck, *inputs)
-        self._checks, self._checked = self._checks + 1, self._stamp
+        self._unchecked, self._checked = False, self._stamp
 
     def _learn_more(self) -> None:
         """Take the result of a check that has ended."""
@@ -302,7 +302,7 @@ class Session:
             return
         (segment, future), self._check = self._check, None
         better, scale = future.result()
-        if scale is not None and self._scale.known:
+        if scale is not None:
             self._scale = self._scale.told(scale)
         if better is not None and segment == self._segment:
             self._found = self._found._replace(stamp=self._stamp)
@@ -310,7 +310,7 @@ class Session:
 
     def _settle_at(self, place: np.ndarray, reason: str) -> None:
         """Go on from a place, which frames must confirm before poses are given out."""
-        self._place, self._confirmed, self._checks = place, 0, 0
+        self._place, self._confirmed, self._unchecked = place, 0, True
         self._supported = self._checked = self._stamp
         self._state, self._reason = LOCALIZING, f'found: {reason}'
 

@@ -64,7 +64,7 @@ def best_scale(
         growth = middle(GROWTHS, scores)
         if growth is not None:
             return scale_of(place) * float(np.exp(growth))
-        place = place @ scaling(np.exp(GROWTHS[np.argmax(scores)]), submap.points.mean(axis=0))
+        place = place @ scaling(np.exp(GROWTHS[np.argmax(scores)]), submap.center)
     return None
 
 
@@ -72,7 +72,7 @@ def _scores(
     submap: Submap, sample: tuple[np.ndarray, np.ndarray], prepared: PreparedMap, place: np.ndarray
 ) -> np.ndarray:
     """Return how well (G,) submap and map lie on each other after each of :data:`GROWTHS`."""
-    center, unit = submap.points.mean(axis=0), submap.voxel * scale_of(place)
+    center, unit = submap.center, submap.voxel * scale_of(place)
     grids = [prepared.near(unit * factor) for factor in GRIDS]
     scores = np.empty(len(GROWTHS))
     for k, growth in enumerate(GROWTHS):
