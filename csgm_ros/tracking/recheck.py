@@ -34,11 +34,14 @@ class Second(NamedTuple):
     scale: float | None = None
 
 
-def recheck(query: Query, prepared: PreparedMap, place: np.ndarray, seed: int, settle: bool) -> Second:
-    """Look near the prior of a query for a better place than a (4, 4) one; else, where asked to, for its scale."""
+def recheck(query: Query, prepared: PreparedMap, place: np.ndarray, seed: int) -> Second:
+    """Look near the prior of a query for a better place than a (4, 4) one, and where there is none for its scale.
+
+    The fresh frames alone tell of the place, where the query has any; all of them tell of the scale.
+    """
     rng = np.random.default_rng(seed)
     better = elsewhere(query, prepared, place, rng)
-    if better is not None or not settle:
+    if better is not None:
         return Second(better)
     return Second(scale=best_scale(query.seen, query.voxel, prepared, place, rng))
 
@@ -47,7 +50,7 @@ def elsewhere(query: Query, prepared: PreparedMap, place: np.ndarray, rng: np.ra
     """Return a pose (4, 4) near the prior of a query where what was seen fits much better than at ``place``."""
     if query.prior is None:
         return None
-    localizer = Localizer(joined(query.seen, query.voxel), prepared, rng)
+    localizer = Localizer(joined(query.fresh or query.seen, query.voxel), prepared, rng)
     here = localizer.weighed(place)
     hypotheses = localizer.promising(around(query.prior, query, rng), PROMISING)
     best, *_ = localizer.best(np.concatenate((place[None], hypotheses)), 1 + PLACES, fixed_scale=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-FIRST = LOOK = 0.015  # sigma of a scale that was just found, and of what one look says of it, relative
+FIRST, LOOK = 0.015, 0.01  # relative sigma of a scale that was just found, and of what one look says of it: measured
 LEAST = 0.006  # sigma below which nothing is believed: the map is not quite a similarity of the scene
 LEFT = 2.5  # sigmas that it may be off: steps to and fro would be worse
 LARGEST_STEP = 0.002  # of the scale that is given out, from one frame to the next

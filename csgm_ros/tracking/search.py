@@ -72,7 +72,7 @@ class Query(NamedTuple):
     candidates : Candidates or None
         What an earlier search in this stretch of odometry could not decide between.
     fresh : sequence of (Frame, (4, 4) ndarray)
-        Those that none of those looks has seen.
+        Those that none of those looks has seen; in a check those since the place was found.
     """
 
     seen: Sequence[tuple[Frame, np.ndarray]]

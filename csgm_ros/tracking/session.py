@@ -279,8 +279,8 @@ class Session:
     def _recheck(self) -> None:
         """Have it found out, beside what goes on, whether what was seen lies better elsewhere or at another scale.
 
-        First by what was seen since the place was found, everywhere where it was sought; then by all that was seen
-        lately.
+        The place first by what was seen since it was found, everywhere where it was sought; then, as the scale each
+        time, by all that was seen lately.
         """
         fresh = [item for item in self._recent if item[0] > self._checked]
         first = self._unchecked
@@ -288,11 +288,11 @@ class Session:
             return
         items, sensor = self._recent, self._odometry.matrix
         prior = expected(self._place @ sensor, ASTRAY)
-        if first:
-            items = [item for item in items if item[0] >= self._found.stamp]
-            prior = self._found.prior or prior
         query = Query(_seen(items), self._voxel, self._scale.value, prior, sensor, self._enough())
-        inputs = query, self._map, self._place, self._drawn(), not first
+        if first:
+            since = [item for item in items if item[0] >= self._found.stamp]
+            query = query._replace(fresh=_seen(since), prior=self._found.prior or prior)
+        inputs = query, self._map, self._place, self._drawn()
         self._check = self._segment, _submitted(self._executor, recheck, *inputs)
         self._unchecked, self._checked = False, self._stamp
 
