@@ -13,9 +13,10 @@ import numpy as np
 from csgm_ros.tracking.localization import Localizer, joined
 from csgm_ros.tracking.maps import PreparedMap
 from csgm_ros.tracking.search import Query, around
-from csgm_ros.tracking.settling import best_scale
+from csgm_ros.tracking.settling import best_scale, on_map
 
 BETTER = 1.2  # times as good must another place be
+PARTLY = 0.5  # of the share on the map of the frame that lies most on it: frames beside it fit anywhere a little
 PROMISING, PLACES = 6, 3  # hypotheses that are refined at most, and different places that they lead to
 
 
@@ -50,7 +51,8 @@ def elsewhere(query: Query, prepared: PreparedMap, place: np.ndarray, rng: np.ra
     """Return a pose (4, 4) near the prior of a query where what was seen fits much better than at ``place``."""
     if query.prior is None:
         return None
-    localizer = Localizer(joined(query.fresh or query.seen, query.voxel), prepared, rng)
+    told = on_map(query.fresh or query.seen, query.voxel, prepared, place, PARTLY)
+    localizer = Localizer(joined(told, query.voxel), prepared, rng)
     here = localizer.weighed(place)
     hypotheses = localizer.promising(around(query.prior, query, rng), PROMISING)
     best, *_ = localizer.best(np.concatenate((place[None], hypotheses)), 1 + PLACES, fixed_scale=True)

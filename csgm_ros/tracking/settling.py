@@ -22,7 +22,7 @@ NEARLY = 0.95  # of the best score: scales that reach it may be right
 TRIES = 3  # each about the best of the last
 GRIDS = 0.9, 0.95, 1.0, 1.05, 1.1  # edges of the voxels that the map is averaged in: each errs a little
 FRAMES, LEAST_FRAMES = 20, 3  # that are asked
-WHOLLY = 0.8  # of the share on the map of the frame that lies most on it: others tell more of what is not mapped well
+WHOLLY = 0.8  # of the share on the map of the frame that lies most on it: what a frame must have to tell the scale
 SAMPLES = 500  # points of a frame that tell its share
 
 
@@ -50,10 +50,7 @@ def best_scale(
     float or None
         None where the frames do not tell it, as those of a single wall.
     """
-    asked = seen[:: -(-len(seen) // FRAMES)]
-    near = prepared.near(voxel * scale_of(place))
-    shares = np.array([meet(*frame.sample(SAMPLES), near, place @ matrix)[1] for frame, matrix in asked])
-    told = [part for part, share in zip(asked, shares, strict=True) if share >= WHOLLY * shares.max()]
+    told = on_map(seen[:: -(-len(seen) // FRAMES)], voxel, prepared, place, WHOLLY)
     if len(told) < LEAST_FRAMES:
         return None
     chosen = np.sort(rng.permutation(len(prepared.points))[:MANY])
@@ -66,6 +63,15 @@ def best_scale(
             return scale_of(place) * float(np.exp(growth))
         place = place @ scaling(np.exp(GROWTHS[np.argmax(scores)]), submap.center)
     return None
+
+
+def on_map(
+    seen: Sequence[tuple[Frame, np.ndarray]], voxel: float, prepared: PreparedMap, place: np.ndarray, least: float
+) -> list[tuple[Frame, np.ndarray]]:
+    """Return the frames whose share on the map is ``least`` of the largest: others tell more of what is not mapped."""
+    near = prepared.near(voxel * scale_of(place))
+    shares = np.array([meet(*frame.sample(SAMPLES), near, place @ matrix)[1] for frame, matrix in seen])
+    return [part for part, share in zip(seen, shares, strict=True) if share >= least * shares.max()]
 
 
 def _scores(

@@ -14,7 +14,8 @@ from csgm_ros.tracking.alignment import align
 from csgm_ros.tracking.evidence import Evidence
 from csgm_ros.tracking.localization import moved, scale_of, scaling, vertex
 from csgm_ros.tracking.odometry import Odometry, power
-from csgm_ros.tracking.search import Found
+from csgm_ros.tracking.search import Found, Query, expected
+from csgm_ros.tracking.session import ASTRAY
 
 
 class Never:
@@ -211,6 +212,16 @@ def test_a_place_that_was_found_beside_the_right_one_is_left_for_it(desk, beside
     assert shifts[first] > 0.15
     assert last == 134
     assert all(shifts[k] < 0.1 for k in shifts if k >= first + 4)
+
+
+def test_frames_beside_the_map_do_not_lead_away_from_the_place(desk):
+    *_, (k, session, _) = told(desk, range(28, 41))  # 33 to 37 are beside the map, or nearly
+    sensor = session._odometry.matrix
+    seen = [(frame, matrix) for stamp, frame, matrix in session._recent if stamp >= desk.stamps[33]]
+    place, prior = desk.truth[k] @ np.linalg.inv(sensor), expected(desk.truth[k], ASTRAY)
+    query = Query(seen, session._voxel, scale_of(place), prior, sensor, (0.09, 0.74))
+    for seed in range(6):
+        assert recheck.elsewhere(query, session._map, place, np.random.default_rng(seed)) is None
 
 
 def test_a_single_wall_does_not_tell_the_scale():
