@@ -150,6 +150,9 @@ class GraphConfig(Checked):
     )
     node_sigma: float = param(0.5, 'width of the Gaussian node similarity', unit='median of D', low=0.01, high=100.0)
     edge_sigma: float = param(0.6, 'width of the Gaussian edge similarity', unit='median of D', low=0.01, high=100.0)
+    support: bool = param(
+        True, 'nodes are the more alike the more pairs of others agree with them, and without such stay unmatched'
+    )
 
 
 @dataclass(frozen=True)
@@ -428,7 +431,7 @@ class NodeConfig(Checked):
 PAPER = {
     'preprocess': {'outlier_factor': 0.0},
     'descriptors': {'kind': 'esf', 'esf_samples': 20000},
-    'graph': {'edges': 'adjacency', 'edge_descriptor': 'euler', 'similarity': 'linear'},
+    'graph': {'edges': 'adjacency', 'edge_descriptor': 'euler', 'similarity': 'linear', 'support': False},
     'matching': {
         'alpha_steps': 101,
         'frank_wolfe_iterations': 100,

@@ -19,6 +19,7 @@ from csgm_ros.errors import DegenerateCloudError, InputError, naming
 from csgm_ros.exchange import exchanged, ordered
 from csgm_ros.graph.affinity import affinity
 from csgm_ros.graph.build import build
+from csgm_ros.graph.support import support
 from csgm_ros.matching.guided import match_guided
 from csgm_ros.matching.match import match_graphs
 from csgm_ros.progress import Clock, Progress, TimeUp
@@ -215,8 +216,9 @@ def _attempt(
     graphs = build(source, config.graph), build(target, config.graph)  # step 3
     clock.check()
     clock.enter('graph matching')
-    matched = _matched(*graphs, config, clock)  # step 4
-    structures = _structure_pair(source, target, matched, attempt, view, ladder, config, prior, clock)
+    scales = search_range(*view.pair.normalizations, config.scale, config.hypotheses.scale_factor, attempt.relative)
+    matched = _matched(*graphs, scales, config, clock)  # step 4
+    structures = _structure_pair(source, target, matched, scales, view, ladder, config, prior, clock)
     clock.enter('transformation estimation')
     estimate = {'search': _searched, 'ransac': _ransac}[config.hypotheses.method]  # step 5
     best, verdict = estimate(structures, view, config, rng, clock)
@@ -278,10 +280,14 @@ def _described(name: str, *inputs) -> Structure:
         return describe(*inputs)
 
 
-def _matched(first: StructureGraph, second: StructureGraph, config: Config, clock: Clock) -> MatchedGraphs:
+def _matched(
+    first: StructureGraph, second: StructureGraph, scales: tuple[float, float], config: Config, clock: Clock
+) -> MatchedGraphs:
     """Affinities K_p and K_q, and step 4: enhanced factorised graph matching."""
     part = config.graph
     node_affinity = affinity(first.node_descriptors, second.node_descriptors, part.similarity, part.node_sigma)
+    backing = support(first, second, node_affinity, scales) if part.support else None
+    node_affinity = backing.added(node_affinity) if backing else node_affinity
     edge_affinity = affinity(first.edge_descriptors, second.edge_descriptors, part.similarity, part.edge_sigma)
     matching = match_graphs(
         node_affinity,
@@ -293,14 +299,14 @@ def _matched(first: StructureGraph, second: StructureGraph, config: Config, cloc
         positions_2=second.nodes,
         is_cancelled=clock.check,  # raises where the caller wants to stop, or has no time left
     )
-    return MatchedGraphs(first, second, node_affinity, edge_affinity, matching)
+    return MatchedGraphs(first, second, node_affinity, edge_affinity, backing.held(matching) if backing else matching)
 
 
 def _structure_pair(
     source: Structure,
     target: Structure,
     matched: MatchedGraphs,
-    attempt: Attempt,
+    scales: tuple[float, float],
     view: View,
     ladder: Ladder,
     config: Config,
@@ -319,9 +325,7 @@ def _structure_pair(
     def found():
         return np.array([evidence.transform.matrix for evidence in view.measured]).reshape(-1, 4, 4)
 
-    units, part = view.pair.normalizations, config.hypotheses
-    scales = search_range(*units, config.scale, part.scale_factor, attempt.relative)
-    wide = search_range(*units, config.scale, part.plane_scale_factor)
+    wide = search_range(*view.pair.normalizations, config.scale, config.hypotheses.plane_scale_factor)
     matches, node_affinity = matched.matching.pairs, matched.node_affinity
     known = source, target, matches, node_affinity, scales, keypoints, ladder, wide, found, prior
     return StructurePair(*known, look=clock.check)

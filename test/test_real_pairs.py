@@ -41,7 +41,7 @@ def test_the_matches_that_people_are_shown_agree_with_the_answer(registered, nam
     result = registered(name)[3]
     assert result.match_inliers.mean() > 0.9
     assert result.match_inliers.sum() > 0.3 * len(result.source_graph.nodes)  # less where an attempt cut finer nodes
-    assert result.unguided_inliers.mean() < 0.6
+    assert result.unguided_inliers.mean() > 0.5  # of those that graph matching found without knowing it
 
 
 def test_different_places_are_not_mistaken_for_each_other(registered, monkeypatch):
