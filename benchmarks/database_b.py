@@ -75,6 +75,7 @@ def summary(rows: list[harness.Row]) -> str:
         for row in wrong
     ]
     if own:
+        parts.append(tables.matched_nodes([row for row in own if row['method'] == 'csgm']))
         parts.append('Not right:\n' + '\n'.join(lines) if lines else 'The product is right on every pair.')
     return '\n\n'.join(parts)
 

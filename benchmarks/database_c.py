@@ -58,6 +58,7 @@ def summary(rows: list[harness.Row], seeds: list[int]) -> str:
             parts += [f'Only the {setting} meshes:', tables.method_table(runs)]
     ours = [row for row in rows if row['method'] == 'csgm']
     if ours:
+        parts.append(tables.matched_nodes(ours))
         missed = [f'{row["pair"]} (RMSE/r {float(row["rmse"]):.3f})' for row in ours if not int(row['right_tight'])]
         parts.append(f'Pairs that `csgm` does not solve within 0.02: {", ".join(missed) or "none"}.')
     return '\n\n'.join(parts)

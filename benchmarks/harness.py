@@ -101,7 +101,7 @@ def run(method: str, pair: Pair, seed: int, *, rigid: bool = False, voxel: float
 
     A method that raises counts as one that found nothing: its errors are infinite and ``reason`` says why.
     """
-    names = ('accepted', 'reason', 'fitness_source', 'fitness_target', 'margin', 'matches', 'matches_right')
+    names = ('accepted', 'reason', 'fitness_source', 'fitness_target', 'margin', *MATCHES)
     row: Row = dict.fromkeys(names, '')
     estimate = np.full((4, 4), np.nan)
     wall, cpu = time.perf_counter(), time.process_time()
@@ -134,15 +134,20 @@ def run(method: str, pair: Pair, seed: int, *, rigid: bool = False, voxel: float
 
 
 def _matches(result, pair: Pair) -> Row:
-    """Count the matched nodes, and those that the truth brings within a tenth of the target's radius."""
+    """Count the matched nodes, those with a counterpart, and those that were right.
+
+    Right is what the truth brings within a tenth of the target's radius; a counterpart is any node so near.
+    """
     if pair.T_target_source is None or result.source_graph is None:
         return {}
-    source = result.source_graph.nodes[result.unguided_matches[:, 0]]
-    target = result.target_graph.nodes[result.unguided_matches[:, 1]]
-    distance = np.linalg.norm(apply(pair.T_target_source, source) - target, axis=1)
-    return {'matches': len(distance), 'matches_right': int((distance < 0.1 * metrics.radius(pair.target)).sum())}
+    source, target = apply(pair.T_target_source, result.source_graph.nodes), result.target_graph.nodes
+    near = np.linalg.norm(source[:, None] - target, axis=2) < 0.1 * metrics.radius(pair.target)
+    matches = result.unguided_matches
+    counts = len(matches), near.any(1)[matches[:, 0]].sum(), near[tuple(matches.T)].sum()
+    return dict(zip(MATCHES, map(int, counts), strict=True))
 
 
+MATCHES = 'matches', 'matches_possible', 'matches_right'
 BOUNDS = {'loose': metrics.LOOSE, 'tight': metrics.TIGHT}
 
 

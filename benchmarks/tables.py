@@ -99,6 +99,17 @@ def method_table(rows: Sequence[Row]) -> str:
     return table(header, lines)
 
 
+def matched_nodes(rows: Sequence[Row]) -> str:
+    """Say how many of the pairs that graph matching found without the transform were right."""
+    found, possible, right = (sum(numbers(rows, f'matches{what}')) for what in ('', '_possible', '_right'))
+    if not found:
+        return 'Graph matching found no pairs.'
+    return (
+        f'Of the {found:.0f} pairs of nodes that graph matching found without the transform {right / found:.0%} are '
+        f'right, {right / max(possible, 1):.0%} of those whose node has a counterpart.'
+    )
+
+
 def machine() -> str:
     """Return one line on the machine and the versions."""
     model = platform.processor() or platform.machine()
