@@ -13,7 +13,7 @@ import numpy as np
 from csgm_ros.tracking.localization import Localizer, joined
 from csgm_ros.tracking.maps import PreparedMap
 from csgm_ros.tracking.search import Query, around
-from csgm_ros.tracking.settling import best_scale, on_map
+from csgm_ros.tracking.settling import LEAST_FRAMES, best_scale, on_map
 
 BETTER = 1.2  # times as good must another place be
 PARTLY = 0.5  # of the share on the map of the frame that lies most on it: frames beside it fit anywhere a little
@@ -29,33 +29,41 @@ class Second(NamedTuple):
         A better place, from the frame of the odometry to the map.
     scale : float or None
         Map units a metre, where the place stands and the frames tell it.
+    told : bool
+        Whether enough frames lie on the map to tell of the place.
     """
 
     matrix: np.ndarray | None = None
     scale: float | None = None
+    told: bool = True
 
 
 def recheck(query: Query, prepared: PreparedMap, place: np.ndarray, seed: int) -> Second:
     """Look near the prior of a query for a better place than a (4, 4) one, and where there is none for its scale.
 
-    The fresh frames alone tell of the place, where the query has any; all of them tell of the scale.
+    The fresh frames alone tell of the place, where the query has any; all of them tell of the scale of one that stands.
     """
     rng = np.random.default_rng(seed)
-    better = elsewhere(query, prepared, place, rng)
-    if better is not None:
-        return Second(better)
+    best = elsewhere(query, prepared, place, rng)
+    if best is None:
+        return Second(told=False)
+    if best is not place:
+        return Second(best)
     return Second(scale=best_scale(query.seen, query.voxel, prepared, place, rng))
 
 
 def elsewhere(query: Query, prepared: PreparedMap, place: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
-    """Return a pose (4, 4) near the prior of a query where what was seen fits much better than at ``place``."""
-    if query.prior is None:
-        return None
+    """Return a pose (4, 4) near the prior of a query where what was seen fits much better than at ``place``, else that.
+
+    None where too few frames lie on the map to tell: one or two fit elsewhere by chance.
+    """
     told = on_map(query.fresh or query.seen, query.voxel, prepared, place, PARTLY)
+    if query.prior is None or len(told) < LEAST_FRAMES:
+        return None
     localizer = Localizer(joined(told, query.voxel), prepared, rng)
     here = localizer.weighed(place)
     hypotheses = localizer.promising(around(query.prior, query, rng), PROMISING)
     best, *_ = localizer.best(np.concatenate((place[None], hypotheses)), 1 + PLACES, fixed_scale=True)
     if localizer.alike(best.matrix, place) or best.score < BETTER * here.score:
-        return None
-    return best.matrix if best.evidence.reaches(query.enough) else None
+        return place
+    return best.matrix if best.evidence.reaches(query.enough) else place

@@ -294,23 +294,27 @@ class Session:
             query = query._replace(fresh=_seen(since), prior=self._found.prior or prior)
         inputs = query, self._map, self._place, self._drawn()
         self._check = self._segment, _submitted(self._executor, recheck, *inputs)
-        self._unchecked, self._checked = False, self._stamp
+        self._checked = self._stamp
 
     def _learn_more(self) -> None:
         """Take the result of a check that has ended."""
         if self._check is None or not self._check[1].done():
             return
         (segment, future), self._check = self._check, None
-        better, scale = future.result()
-        if scale is not None:
-            self._scale = self._scale.told(scale)
-        if better is not None and segment == self._segment:
+        second = future.result()
+        if second.scale is not None:
+            self._scale = self._scale.told(second.scale)
+        if segment != self._segment:
+            return
+        self._unchecked = self._unchecked and not second.told
+        if second.matrix is not None:
             self._found = self._found._replace(stamp=self._stamp)
-            self._settle_at(better, 'what was seen since lies better there')
+            self._settle_at(second.matrix, 'what was seen since lies better there')
 
     def _settle_at(self, place: np.ndarray, reason: str) -> None:
         """Go on from a place, which frames must confirm before poses are given out."""
-        self._place, self._confirmed, self._unchecked = place, 0, True
+        self._place, self._confirmed = place, 0
+        self._unchecked, self._check = True, None  # what is under way is about the place before
         self._supported = self._checked = self._stamp
         self._state, self._reason = LOCALIZING, f'found: {reason}'
 

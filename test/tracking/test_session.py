@@ -144,10 +144,10 @@ def test_a_scale_that_is_off_is_corrected_without_a_jump(kitchen):
     assert estimate.scale_sigma < 0.02
 
 
-def told(sequence, numbers, factor=1.0):
+def told(sequence, numbers, factor=1.0, executor=None):
     """Follow from the true pose, at a scale that is off by a factor, as if a search had ended."""
     config = replaced(profile(), {'tracking.first_seconds': 0.3})
-    session, first = Session(sequence.map, config, executor=Never()), None
+    session, first = Session(sequence.map, config, executor=executor or Never()), None
     for k in numbers:
         estimate = session.add(sequence.points(k), sequence.stamps[k])
         if first is None and session._job is not None:
@@ -214,14 +214,40 @@ def test_a_place_that_was_found_beside_the_right_one_is_left_for_it(desk, beside
     assert all(shifts[k] < 0.1 for k in shifts if k >= first + 4)
 
 
-def test_frames_beside_the_map_do_not_lead_away_from_the_place(desk):
-    *_, (k, session, _) = told(desk, range(28, 41))  # 33 to 37 are beside the map, or nearly
+@pytest.mark.parametrize(('last', 'enough'), [(36, False), (38, False), (40, True)])
+def test_frames_beside_the_map_do_not_lead_away_from_the_place(desk, last, enough):
+    *_, (k, session, _) = told(desk, range(28, last + 1))  # 33 to 37 are beside the map, or nearly
     sensor = session._odometry.matrix
     seen = [(frame, matrix) for stamp, frame, matrix in session._recent if stamp >= desk.stamps[33]]
     place, prior = desk.truth[k] @ np.linalg.inv(sensor), expected(desk.truth[k], ASTRAY)
     query = Query(seen, session._voxel, scale_of(place), prior, sensor, (0.09, 0.74))
     for seed in range(6):
-        assert recheck.elsewhere(query, session._map, place, np.random.default_rng(seed)) is None
+        best = recheck.elsewhere(query, session._map, place, np.random.default_rng(seed))
+        assert best is (place if enough else None)
+
+
+class Asked(Never):
+    """Keeps what is searched for, and has checks tell nothing."""
+
+    def __init__(self):
+        self.searches, self.checks = [], []
+
+    def submit(self, work, *inputs):
+        future = Future()
+        if work is recheck.recheck:
+            future.set_result(recheck.Second(told=False))
+            self.checks.append(inputs[0])
+        else:
+            self.searches.append(inputs[0])
+        return future
+
+
+def test_a_place_of_which_a_check_tells_nothing_is_checked_again_soon(kitchen):
+    asked = Asked()
+    *_, (_, _, estimate) = told(kitchen, range(20), executor=asked)
+    assert estimate.state == 'tracking'
+    assert len(asked.checks) >= 3
+    assert all(query.fresh for query in asked.checks)
 
 
 def test_a_single_wall_does_not_tell_the_scale():
