@@ -215,7 +215,8 @@ class Session:
         self._supported = self._stamp
         self._confirmed += 1
         if self._state == TRACKING:
-            self._typical = 0.9 * self._typical + 0.1 * np.array(evidence[:3])
+            if not self._unchecked:  # else a wrong place would have later searches ask for less
+                self._typical = 0.9 * self._typical + 0.1 * np.array(evidence[:3])
             self._prior = expected(self._place @ self._odometry.matrix)
         if self._state != TRACKING and self._confirmed >= part.confirmations:
             if not self._typical.any():

@@ -242,10 +242,13 @@ class Asked(Never):
         return future
 
 
-def test_a_place_of_which_a_check_tells_nothing_is_checked_again_soon(kitchen):
-    asked = Asked()
-    *_, (_, _, estimate) = told(kitchen, range(20), executor=asked)
-    assert estimate.state == 'tracking'
+def test_a_place_of_which_a_check_tells_nothing_is_checked_again_soon_and_nothing_is_measured_by_it(kitchen):
+    asked, enough = Asked(), []
+    for _, session, estimate in told(kitchen, range(20), executor=asked):
+        if estimate.state == 'tracking':
+            enough.append(session._enough())
+    assert len(enough) > 10
+    assert len(set(enough)) == 1
     assert len(asked.checks) >= 3
     assert all(query.fresh for query in asked.checks)
 
