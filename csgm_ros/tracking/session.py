@@ -98,7 +98,6 @@ class Session:
         self._job: Job | None = None
         self._covariance: np.ndarray | None = None
         self._typical = np.zeros(3)  # closeness, share and agreement of tracked frames
-        self._glanced = False  # whether it was looked for near the prior since it was lost
         self._candidates: Candidates | None = None  # of this segment
         self._searches = 0  # without success
         self._looked = -np.inf  # stamp of the newest frame that was searched for
@@ -357,7 +356,6 @@ class Session:
 
     def _lose(self, state: str, reason: str) -> None:
         self._segment += 1
-        self._glanced = False
         self._candidates, self._looked = None, -np.inf
         self._place, self._confirmed = None, 0
         self._state, self._reason = state, reason
@@ -369,14 +367,12 @@ class Session:
         if self._job is not None or not stale:
             return
         known = self._scale.known
-        glance = known and self._prior is not None and not self._glanced
         wide = _span(self._recent) >= part.first_seconds * (0.5 if known else 1.0)
-        if not wide and not glance:
-            return
+        if not wide and not (known and self._prior is not None):
+            return  # near where it is expected few frames will do
         fresh = [item for item in self._recent if item[0] > self._looked]
-        if not glance and self._looked > -np.inf and not _span(fresh) >= FRESH * part.first_seconds:
+        if wide and self._looked > -np.inf and not _span(fresh) >= FRESH * part.first_seconds:
             return  # the same frames again would tell the same
-        self._glanced = True
         scale = self._scale.value if known else None
         reach = REACHES[self._searches % len(REACHES)]
         sensor = self._odometry.matrix

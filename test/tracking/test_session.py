@@ -253,6 +253,17 @@ def test_a_place_of_which_a_check_tells_nothing_is_checked_again_soon_and_nothin
     assert all(query.fresh for query in asked.checks)
 
 
+def test_a_sensor_that_was_lost_is_looked_for_where_it_was_with_each_frame_and_then_anywhere(kitchen):
+    asked = Asked()
+    *_, (last, session, estimate) = told(kitchen, range(12), executor=asked)
+    assert estimate.state == 'tracking'
+    asked.searches.clear()
+    for k in range(last + 1, last + 4):
+        session.add(kitchen.points(k), kitchen.stamps[k] + 2.0)
+        session._job.future.set_result(Found(None, 'told'))
+    assert [(len(query.seen), query.wide) for query in asked.searches] == [(1, False), (2, False), (3, True)]
+
+
 def test_a_single_wall_does_not_tell_the_scale():
     rng = np.random.default_rng(0)
     side = rng.uniform(-1.0, 1.0, (2, 20000))
