@@ -351,7 +351,7 @@ class MatchedGraphs:
     ----------
     source, target : StructureGraph
     node_affinity, edge_affinity : (n1, n2), (m1, m2) ndarray
-        K_p and K_q, Eq. (2) and Eq. (3).
+        K_p and K_q, Eq. (2) and Eq. (3); K_p with the support of other nodes, where that is asked for.
     matching : Matching
     """
 

@@ -68,7 +68,7 @@ class Support:
 def support(
     first: StructureGraph, second: StructureGraph, node_affinity: np.ndarray, scales: tuple[float, float]
 ) -> Support:
-    """Return how far the pairs of nodes that are most alike support each other.
+    """Return how far the pairs of nodes that are most alike support each other (not in the paper).
 
     Parameters
     ----------
