@@ -181,10 +181,10 @@ def _guess(initial: str, sigma: str, folder: Path) -> tuple[tuple[float, ...], t
     try:
         numbers = [float(word) for word in initial.split()]
     except ValueError:
-        transform = read_result(folder / initial)[0]
+        numbers = read_result(folder / initial)[0].matrix.ravel().tolist()
     else:
         try:
-            transform = similarity_of(numbers)
+            similarity_of(numbers)
         except ValueError:
             raise InputError(f'initial {initial!r} is no similarity; give 16 numbers, row by row, or a file') from None
     try:
@@ -193,7 +193,7 @@ def _guess(initial: str, sigma: str, folder: Path) -> tuple[tuple[float, ...], t
         raise InputError(f'initial_sigma {sigma!r}: give place, degrees and relative scale between blanks') from None
     if not min(place, angle, scale) >= 0.0:
         raise InputError(f'initial_sigma {sigma!r}: none may be below 0')
-    return tuple(transform.matrix.ravel().tolist()), (place, angle, scale)
+    return tuple(numbers), (place, angle, scale)
 
 
 def _pair(name: str, source: Path, target: Path, config: Config, seed: int) -> Pair:
