@@ -67,6 +67,9 @@ def summary(rows: list[harness.Row]) -> str:
     ]
     for setting, runs in tables.grouped(rows, 'setting').items():
         parts += [f'{setting.capitalize()}:', _table(runs)]
+        ours = [row for row in runs if row['method'] == 'csgm']
+        if ours:
+            parts.append(tables.matched_nodes(ours))
     own = [row for row in rows if row['method'] in harness.OURS]
     wrong = [row for row in own if not int(row['right_loose'])]
     lines = [
@@ -75,7 +78,6 @@ def summary(rows: list[harness.Row]) -> str:
         for row in wrong
     ]
     if own:
-        parts.append(tables.matched_nodes([row for row in own if row['method'] == 'csgm']))
         parts.append('Not right:\n' + '\n'.join(lines) if lines else 'The product is right on every pair.')
     return '\n\n'.join(parts)
 

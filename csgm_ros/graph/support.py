@@ -21,7 +21,7 @@ SHORT, NOISE = 1.2, 0.2  # node spacings: lengths below say nothing; how far a n
 ANGLE_NOISE = 0.3  # rad
 STEP, SCALE_NOISE = 0.1, 0.05  # between the logarithms of two scales, and how exactly one is met
 SCALES = 3  # that are looked at closely
-FAR = 3.0  # mean squares of three deviations, in their noise, from which two pairs do not agree
+FAR = 3.0, 9.0  # sum of three squared angles, and square of a scale, in their noise, from which pairs do not agree
 ROUNDS = 5
 WEIGHT = 3.0  # of the support beside the similarity of surroundings
 LEAST = 0.25  # of the strongest support among matched pairs, below which a node has no counterpart
@@ -150,7 +150,7 @@ def _links(pairs, length_1, along_1, normals_1, spacing_1, length_2, along_2, no
             x, y = along_1[i, j] - along_2[a, b], along_1[j, i] - along_2[b, a]
             z = normals_1[i, j] - normals_2[a, b]
             square = (x * x + y * y + z * z) * per
-            if square > FAR:
+            if square > FAR[0]:
                 continue
             ratio = np.log(there / here)
             if not low <= ratio <= high:
@@ -172,7 +172,7 @@ def _at(scale, first, second, squares, ratios, noises):
     kept = np.zeros(len(first), np.bool_)
     for k in range(len(first)):
         square = (ratios[k] - scale) ** 2 / (noises[k] + SCALE_NOISE * SCALE_NOISE)
-        kept[k] = square <= 3.0 * FAR
+        kept[k] = square <= FAR[1]
         weights[k] = np.exp(-0.5 * (squares[k] + square)) if kept[k] else 0.0
     return first[kept], second[kept], weights[kept]
 
