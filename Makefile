@@ -12,6 +12,8 @@ TF2 := $(if $(wildcard test/build_tf2_msgs.sh),$(VENV)/.tf2_msgs)
 
 # A sourced ROS install must not mix with the wheels of the virtual environment.
 unexport PYTHONPATH PYTHONHOME AMENT_PREFIX_PATH LD_LIBRARY_PATH RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# Without byte code every process compiles Open3D's and its own modules anew, which takes 5 s.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup demo test lint docs bench soak config lock licences clean
 
