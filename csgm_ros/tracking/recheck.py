@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from csgm_ros.tracking.evidence import Evidence
 from csgm_ros.tracking.localization import Localizer, joined
 from csgm_ros.tracking.maps import PreparedMap
 from csgm_ros.tracking.search import Query, around
@@ -27,6 +28,8 @@ class Second(NamedTuple):
     ----------
     matrix : (4, 4) ndarray or None
         A better place, from the frame of the odometry to the map.
+    evidence : Evidence or None
+        Of the better place.
     scale : float or None
         Map units a metre, where the place stands and the frames tell it.
     told : bool
@@ -34,6 +37,7 @@ class Second(NamedTuple):
     """
 
     matrix: np.ndarray | None = None
+    evidence: Evidence | None = None
     scale: float | None = None
     told: bool = True
 
@@ -44,26 +48,24 @@ def recheck(query: Query, prepared: PreparedMap, place: np.ndarray, seed: int) -
     The fresh frames alone tell of the place, where the query has any; all of them tell of the scale of one that stands.
     """
     rng = np.random.default_rng(seed)
-    best = elsewhere(query, prepared, place, rng)
-    if best is None:
-        return Second(told=False)
-    if best is not place:
-        return Second(best)
+    second = elsewhere(query, prepared, place, rng)
+    if second.matrix is not None or not second.told:
+        return second
     return Second(scale=best_scale(query.seen, query.voxel, prepared, place, rng))
 
 
-def elsewhere(query: Query, prepared: PreparedMap, place: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
-    """Return a pose (4, 4) near the prior of a query where what was seen fits much better than at ``place``, else that.
+def elsewhere(query: Query, prepared: PreparedMap, place: np.ndarray, rng: np.random.Generator) -> Second:
+    """Return a pose (4, 4) near the prior of a query where what was seen fits much better than at ``place``, if any.
 
-    None where too few frames lie on the map to tell: one or two fit elsewhere by chance.
+    Nothing is told where too few frames lie on the map: one or two fit elsewhere by chance.
     """
     told = on_map(query.fresh or query.seen, query.voxel, prepared, place, PARTLY)
     if query.prior is None or len(told) < LEAST_FRAMES:
-        return None
+        return Second(told=False)
     localizer = Localizer(joined(told, query.voxel), prepared, rng)
     here = localizer.weighed(place)
     hypotheses = localizer.promising(around(query.prior, query, rng), PROMISING)
     best, *_ = localizer.best(np.concatenate((place[None], hypotheses)), 1 + PLACES, fixed_scale=True)
     if localizer.alike(best.matrix, place) or best.score < BETTER * here.score:
-        return place
-    return best.matrix if best.evidence.reaches(query.enough) else place
+        return Second()
+    return Second(best.matrix, best.evidence) if best.evidence.reaches(query.enough) else Second()

@@ -88,6 +88,7 @@ class Session:
         self._stamp = self._heard = self._supported = -np.inf
         self._state, self._reason = LOST, 'no frame yet'
         self._place: Any = None  # once localized, T_map_odometry of this segment
+        self._close = np.inf  # closeness there of what it was found by
         self._confirmed = 0
         self._scale = Scale()
         self._found: Any = None  # Job that led to the place
@@ -237,9 +238,14 @@ class Session:
         return weigh(*frame.sample(1000), self._level.near, self._level.points, self._place @ matrix, (frame.view,))
 
     def _confirms(self, evidence: Evidence) -> bool:
-        """Return whether a frame supports the place: as those tracked did, where no pose is given out yet."""
-        least = self._enough(WORSE)
-        asked_less = self._state == TRACKING or not np.isfinite(least[0])
+        """Return whether a frame supports the place.
+
+        Where no pose is given out yet, as those tracked did, or as what the place was found by: other parts of the map
+        may be worse.
+        """
+        closeness, agreement = self._enough(WORSE)
+        asked_less = self._state == TRACKING or not np.isfinite(closeness)
+        least = min(closeness, SIMILAR * self._close), agreement
         return self._good(evidence) and (asked_less or evidence.reaches(least))
 
     def _good(self, evidence: Evidence) -> bool:
@@ -309,11 +315,12 @@ class Session:
         self._unchecked = self._unchecked and not second.told
         if second.matrix is not None:
             self._found = self._found._replace(stamp=self._stamp)
-            self._settle_at(second.matrix, 'what was seen since lies better there')
+            self._settle_at(second.matrix, second.evidence, 'what was seen since lies better there')
 
-    def _settle_at(self, place: np.ndarray, reason: str) -> None:
+    def _settle_at(self, place: np.ndarray, evidence: Evidence | None, reason: str) -> None:
         """Go on from a place, which frames must confirm before poses are given out."""
         self._place, self._confirmed = place, 0
+        self._close = evidence.on_map if evidence else np.inf
         self._unchecked, self._check = True, None  # what is under way is about the place before
         self._supported = self._checked = self._stamp
         self._state, self._reason = LOCALIZING, f'found: {reason}'
@@ -408,7 +415,7 @@ class Session:
             return
         self._searches = 0
         self._found = job
-        self._settle_at(found.matrix, found.reason)
+        self._settle_at(found.matrix, found.evidence, found.reason)
         self._level = self._map.level(self._voxel * self._scale.value)
         if settled:  # else frames may say so only once the place is found at the scale that is just known
             for stamp, frame, matrix in self._recent:

@@ -186,6 +186,15 @@ def test_a_pose_is_given_out_only_where_frames_fit_as_well_as_what_was_found(des
         assert estimate.T_map_sensor is None or desk.errors(k, estimate.T_map_sensor)[0] < 10
 
 
+def test_a_place_that_was_found_where_the_map_is_worse_is_confirmed_by_what_it_was_found_by(kitchen):
+    session = Session(kitchen.map)
+    session._typical = np.array((0.5, 0.8, 0.9))
+    seen = [Evidence(closeness, 0.6, 0.9, 3000) for closeness in (0.32, 0.2, 0.1)]
+    for found, confirms in ((None, [1, 0, 0]), (0.6, [1, 0, 0]), (0.3, [1, 1, 0])):
+        session._settle_at(np.eye(4), found and Evidence(found, 0.6, 0.9, 3000), 'told')
+        assert [session._confirms(evidence) for evidence in seen] == confirms
+
+
 @pytest.mark.parametrize('factor', [0.8, 0.92, 1.08, 1.25])
 def test_a_noisy_map_pulls_the_scale_that_a_search_found_to_neither_side(desk, factor):
     *_, (k, session, _) = told(desk, range(115, 135))
@@ -222,8 +231,9 @@ def test_frames_beside_the_map_do_not_lead_away_from_the_place(desk, last, enoug
     place, prior = desk.truth[k] @ np.linalg.inv(sensor), expected(desk.truth[k], ASTRAY)
     query = Query(seen, session._voxel, scale_of(place), prior, sensor, (0.09, 0.74))
     for seed in range(6):
-        best = recheck.elsewhere(query, session._map, place, np.random.default_rng(seed))
-        assert best is (place if enough else None)
+        second = recheck.elsewhere(query, session._map, place, np.random.default_rng(seed))
+        assert second.matrix is None
+        assert second.told is enough
 
 
 class Asked(Never):
