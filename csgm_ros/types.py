@@ -267,7 +267,8 @@ class NearestGrid(NamedTuple):
     points, normals : (N, 3) ndarray
         The cloud.
     index : pair of (a, b, c) and (k, d) int32 ndarray
-        Which of the kept blocks of cells each block of the space is; the nearest point of each cell of those.
+        Which of the kept blocks of cells each block of the space is, the empty one being the first; the nearest point
+        of each cell of those.
     origin : (3,) ndarray
         Lower corner of the grid.
     cell : float

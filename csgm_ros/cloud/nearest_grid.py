@@ -3,8 +3,8 @@
 The search for the right transform asks for millions of nearest points; a gather answers in nanoseconds where
 a tree needs a microsecond. The answer is the point nearest to the *cell's centre*, so distances are exact for
 that point and too long by at most a cell's diagonal; the final ICP uses exact neighbours. Only blocks of cells that a
-point reaches are kept: a street is mostly air. Points that are asked in the order of their voxels find what they need
-where the one before them has been, in half the time of any other order.
+point reaches are kept, and an empty one for all others: a street is mostly air. Points that are asked in the order of
+their voxels find what they need where the one before them has been, in half the time of any other order.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def build(points: np.ndarray, normals: np.ndarray, cell: float, reach: float) ->
     while True:
         origin = points.min(0) - reach - cell
         sides = np.ceil((points.max(0) + reach + cell - origin) / (BLOCK * cell)).astype(np.int64)
-        blocks = np.full(tuple(sides), -1, np.int32)
+        blocks = np.zeros(tuple(sides), np.int32)
         kept = _reached(points, blocks, origin, cell, reach)
         if kept <= MAX_KEPT:
             break
@@ -43,10 +43,10 @@ def build(points: np.ndarray, normals: np.ndarray, cell: float, reach: float) ->
 
 @kernel
 def _reached(points, blocks, origin, cell, reach):
-    """Number the blocks within reach of a point, and return how many they are."""
+    """Number the blocks within reach of a point from 1 on, 0 being the empty one; return how many these are."""
     steps = int(np.ceil(reach / cell))
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
-    count = 0
+    count = 1
     for p in range(len(points)):
         for axis in range(3):
             home = int((points[p, axis] - origin[axis]) / cell)
@@ -55,7 +55,7 @@ def _reached(points, blocks, origin, cell, reach):
         for i in range(low[0], high[0]):
             for j in range(low[1], high[1]):
                 for k in range(low[2], high[2]):
-                    if blocks[i, j, k] < 0:
+                    if blocks[i, j, k] == 0:
                         blocks[i, j, k] = count
                         count += 1
     return count
@@ -110,7 +110,6 @@ def lookup(index, origin, cell, x, y, z):
     a, b, c = i >> bits, j >> bits, k >> bits
     if a >= np.uint64(blocks.shape[0]) or b >= np.uint64(blocks.shape[1]) or c >= np.uint64(blocks.shape[2]):
         return -1
-    block = blocks[a, b, c]
     rest = np.uint64(BLOCK - 1)
     place = ((i & rest) << (bits + bits)) | ((j & rest) << bits) | (k & rest)
-    return nearest[np.uint64(block), place] if block >= 0 else -1
+    return nearest[np.uint64(blocks[a, b, c]), place]

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from csgm_ros.cloud.outliers import distances_from
 from csgm_ros.config import Config
 from csgm_ros.errors import InputError
 from csgm_ros.structure.esf import WIDTH, fill
@@ -181,7 +182,7 @@ def context(
 
 def _balls(points: np.ndarray, nodes: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Return (starts, members) of the points within the radius of each node."""
-    near = [np.flatnonzero(((points - node) ** 2).sum(1) <= radius**2) for node in nodes]
+    near = [np.flatnonzero(distances_from(node, points) <= radius) for node in nodes]
     sizes = [len(members) for members in near]
     return np.concatenate(([0], np.cumsum(sizes, dtype=np.int64))), np.concatenate([np.empty(0, np.int64), *near])
 

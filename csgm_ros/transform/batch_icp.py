@@ -15,6 +15,7 @@ from csgm_ros.types import NearestGrid
 
 POINT_WEIGHT = 0.05  # of point-to-point beside point-to-plane
 MIN_CORRESPONDENCES = 10
+COLUMNS = 15  # numbers that a correspondence gives, see :func:`_agree`
 
 
 def refine_all(
@@ -59,30 +60,89 @@ def refine_all(
 def _refine_all(
     transforms, source, target, from_source, from_target, distances, min_cosine, iterations, estimate_scale
 ):
+    most = len(from_source) + len(from_target)
+    pairs, columns = np.empty((2, most), np.int64), np.empty((COLUMNS, most))
     for h in range(len(transforms)):
         for distance in distances:
             for _ in range(iterations):
-                if (
-                    _step(transforms[h], source, target, from_source, from_target, distance, min_cosine, estimate_scale)
-                    < 0.02 * distance
-                ):
+                scale = np.sqrt(transforms[h, 0, 0] ** 2 + transforms[h, 1, 0] ** 2 + transforms[h, 2, 0] ** 2)
+                count = _pair(transforms[h], scale, source, target, from_source, from_target, pairs)
+                count = _agree(transforms[h], source, target, pairs[:, :count], distance, min_cosine * scale, columns)
+                if _step(transforms[h], columns, count, estimate_scale) < 0.02 * distance:
                     break
 
 
 @kernel
-def _step(matrix, source, target, from_source, from_target, distance, min_cosine, estimate_scale):
+def _pair(m, scale, source, target, from_source, from_target, pairs):
+    """Write which points of source and target are nearest, of both directions, and return how many.
+
+    Neither here nor in what follows is there a branch that depends on a point: it would be guessed wrong half the time.
+    """
+    count = 0
+    for i in from_source:
+        a, b, c = source.points[i, 0], source.points[i, 1], source.points[i, 2]
+        x = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]
+        y = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3]
+        z = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
+        j = lookup(target.index, target.origin, target.cell, x, y, z)
+        pairs[0, count], pairs[1, count] = i, j
+        count += j >= 0
+    squared = scale * scale
+    for j in from_target:
+        x = target.points[j, 0] - m[0, 3]
+        y = target.points[j, 1] - m[1, 3]
+        z = target.points[j, 2] - m[2, 3]
+        a = (m[0, 0] * x + m[1, 0] * y + m[2, 0] * z) / squared
+        b = (m[0, 1] * x + m[1, 1] * y + m[2, 1] * z) / squared
+        c = (m[0, 2] * x + m[1, 2] * y + m[2, 2] * z) / squared
+        i = lookup(source.index, source.origin, source.cell, a, b, c)
+        pairs[0, count], pairs[1, count] = i, j
+        count += i >= 0
+    return count
+
+
+@kernel
+def _agree(m, source, target, pairs, distance, min_product, columns):
+    """Write the columns of the pairs that are near and whose normals agree, and return how many.
+
+    A source point is moved to (x, y, z), and from its target point, of normal (u, v, w), by (dx, dy, dz). Columns 0 to
+    6 are the derivatives of (u, v, w) . (x, y, z) by rotation about the origin, log scale and translation, column 7 is
+    the error (u, v, w) . (dx, dy, dz); then come x, y, z, 1, dx, dy, dz.
+    """
+    count = 0
+    for n in range(pairs.shape[1]):
+        i, j = pairs[0, n], pairs[1, n]
+        a, b, c = source.points[i, 0], source.points[i, 1], source.points[i, 2]
+        x = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]
+        y = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3]
+        z = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
+        dx, dy, dz = x - target.points[j, 0], y - target.points[j, 1], z - target.points[j, 2]
+        u, v, w = target.normals[j, 0], target.normals[j, 1], target.normals[j, 2]
+        d, e, f = source.normals[i, 0], source.normals[i, 1], source.normals[i, 2]
+        product = (
+            (m[0, 0] * d + m[0, 1] * e + m[0, 2] * f) * u
+            + (m[1, 0] * d + m[1, 1] * e + m[1, 2] * f) * v
+            + (m[2, 0] * d + m[2, 1] * e + m[2, 2] * f) * w
+        )
+        columns[0, count], columns[1, count], columns[2, count] = y * w - z * v, z * u - x * w, x * v - y * u
+        columns[3, count] = x * u + y * v + z * w
+        columns[4, count], columns[5, count], columns[6, count] = u, v, w
+        columns[7, count] = dx * u + dy * v + dz * w
+        columns[8, count], columns[9, count], columns[10, count], columns[11, count] = x, y, z, 1.0
+        columns[12, count], columns[13, count], columns[14, count] = dx, dy, dz
+        near = dx * dx + dy * dy + dz * dz <= distance * distance
+        count += np.int64(near) & np.int64(abs(product) >= min_product)
+    return count
+
+
+@kernel
+def _step(matrix, columns, count, estimate_scale):
     """Do one Gauss-Newton step in place and return about how far it moved the cloud; 0 when it cannot."""
-    scale = np.sqrt(matrix[0, 0] ** 2 + matrix[1, 0] ** 2 + matrix[2, 0] ** 2)
-    normal_matrix, gradient = np.zeros((7, 7)), np.zeros(7)
-    count = _pull_source(matrix, source, target, from_source, distance, min_cosine * scale, normal_matrix, gradient)
-    count += _pull_target(
-        matrix, scale, source, target, from_target, distance, min_cosine * scale, normal_matrix, gradient
-    )
     if count < MIN_CORRESPONDENCES:
         return 0.0
-    for k in range(7):
-        for n in range(k):
-            normal_matrix[k, n] = normal_matrix[n, k]
+    planes = _products(columns[:8], 7, count)
+    normal_matrix, gradient = planes[:, :7].copy(), planes[:, 7].copy()
+    _add_points(POINT_WEIGHT * _products(columns[8:], 4, count), normal_matrix, gradient)
     if not estimate_scale:
         normal_matrix[3, :] = 0.0
         normal_matrix[:, 3] = 0.0
@@ -94,102 +154,37 @@ def _step(matrix, source, target, from_source, from_target, distance, min_cosine
     return np.abs(step).max()
 
 
-@kernel
-def _pull_source(m, source, target, chosen, distance, min_product, normal_matrix, gradient):
-    count = 0
-    row = np.empty(7)
-    for i in chosen:
-        a, b, c = source.points[i, 0], source.points[i, 1], source.points[i, 2]
-        x = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]
-        y = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3]
-        z = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
-        j = lookup(target.index, target.origin, target.cell, x, y, z)
-        if j >= 0:
-            count += _accumulate(m, source, target, i, j, x, y, z, distance, min_product, row, normal_matrix, gradient)
-    return count
+@kernel(fastmath=True)
+def _products(columns, first, count):
+    """Return the scalar products of the ``first`` columns with all, over ``count`` pairs."""
+    products = np.zeros((first, len(columns)))
+    for a in range(first):
+        for b in range(a, len(columns)):
+            total = 0.0
+            for n in range(count):
+                total += columns[a, n] * columns[b, n]
+            products[a, b] = total
+            if b < first:
+                products[b, a] = total
+    return products
 
 
 @kernel
-def _pull_target(m, scale, source, target, chosen, distance, min_product, normal_matrix, gradient):
-    count = 0
-    row = np.empty(7)
-    squared = scale * scale
-    for j in chosen:
-        x = target.points[j, 0] - m[0, 3]
-        y = target.points[j, 1] - m[1, 3]
-        z = target.points[j, 2] - m[2, 3]
-        a = (m[0, 0] * x + m[1, 0] * y + m[2, 0] * z) / squared
-        b = (m[0, 1] * x + m[1, 1] * y + m[2, 1] * z) / squared
-        c = (m[0, 2] * x + m[1, 2] * y + m[2, 2] * z) / squared
-        i = lookup(source.index, source.origin, source.cell, a, b, c)
-        if i >= 0:
-            a, b, c = source.points[i, 0], source.points[i, 1], source.points[i, 2]
-            x = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]
-            y = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3]
-            z = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
-            count += _accumulate(m, source, target, i, j, x, y, z, distance, min_product, row, normal_matrix, gradient)
-    return count
-
-
-@kernel(inline=True)
-def _accumulate(m, source, target, i, j, x, y, z, distance, min_product, row, normal_matrix, gradient):
-    # source point i, moved to (x, y, z), corresponds to target point j: add J' W J (upper triangle) and J' W e of
-    # e = moved - target
-    dx, dy, dz = x - target.points[j, 0], y - target.points[j, 1], z - target.points[j, 2]
-    if dx * dx + dy * dy + dz * dz > distance * distance:
-        return 0
-    u, v, w = target.normals[j, 0], target.normals[j, 1], target.normals[j, 2]
-    d, e, f = source.normals[i, 0], source.normals[i, 1], source.normals[i, 2]
-    product = (
-        (m[0, 0] * d + m[0, 1] * e + m[0, 2] * f) * u
-        + (m[1, 0] * d + m[1, 1] * e + m[1, 2] * f) * v
-        + (m[2, 0] * d + m[2, 1] * e + m[2, 2] * f) * w
-    )
-    if abs(product) < min_product:
-        return 0
-    # derivative of (u, v, w) . point by rotation about the origin, log scale and translation
-    row[0], row[1], row[2] = y * w - z * v, z * u - x * w, x * v - y * u
-    row[3] = x * u + y * v + z * w
-    row[4], row[5], row[6] = u, v, w
-    error = dx * u + dy * v + dz * w
-    for k in range(7):
-        gradient[k] += row[k] * error
-        for n in range(k, 7):
-            normal_matrix[k, n] += row[k] * row[n]
-    _accumulate_point(x, y, z, dx, dy, dz, normal_matrix, gradient)
-    return 1
-
-
-@kernel(inline=True)
-def _accumulate_point(x, y, z, dx, dy, dz, normal_matrix, gradient):
-    # the same for the three axes at once, upper triangle
-    weight = POINT_WEIGHT
-    gradient[0] += weight * (y * dz - z * dy)
-    gradient[1] += weight * (z * dx - x * dz)
-    gradient[2] += weight * (x * dy - y * dx)
-    gradient[3] += weight * (x * dx + y * dy + z * dz)
-    gradient[4] += weight * dx
-    gradient[5] += weight * dy
-    gradient[6] += weight * dz
-    xx, yy, zz = weight * x * x, weight * y * y, weight * z * z
-    normal_matrix[0, 0] += yy + zz
-    normal_matrix[1, 1] += xx + zz
-    normal_matrix[2, 2] += xx + yy
-    normal_matrix[3, 3] += xx + yy + zz
-    normal_matrix[0, 1] -= weight * x * y
-    normal_matrix[0, 2] -= weight * x * z
-    normal_matrix[1, 2] -= weight * y * z
-    normal_matrix[0, 5] -= weight * z
-    normal_matrix[0, 6] += weight * y
-    normal_matrix[1, 4] += weight * z
-    normal_matrix[1, 6] -= weight * x
-    normal_matrix[2, 4] -= weight * y
-    normal_matrix[2, 5] += weight * x
-    normal_matrix[3, 4] += weight * x
-    normal_matrix[3, 5] += weight * y
-    normal_matrix[3, 6] += weight * z
-    for k in range(4, 7):
-        normal_matrix[k, k] += weight
+def _add_points(p, normal_matrix, gradient):
+    """Add point to point, the three axes at once, of the products of x, y, z, 1 with these and dx, dy, dz."""
+    squares = p[0, 0] + p[1, 1] + p[2, 2]
+    normal_matrix[:3, :3] -= p[:3, :3]
+    normal_matrix[3, 3] += squares
+    gradient[3] += p[0, 4] + p[1, 5] + p[2, 6]
+    for k in range(3):
+        after, last = (k + 1) % 3, (k + 2) % 3
+        gradient[k] += p[after, 4 + last] - p[last, 4 + after]
+        gradient[4 + k] += p[3, 4 + k]
+        normal_matrix[k, k] += squares
+        normal_matrix[4 + k, 4 + k] += p[3, 3]
+        for row, column, value in ((3, 4 + k, p[k, 3]), (after, 4 + last, -p[k, 3]), (last, 4 + after, p[k, 3])):
+            normal_matrix[row, column] += value
+            normal_matrix[column, row] += value
 
 
 @kernel

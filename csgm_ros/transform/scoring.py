@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from csgm_ros.cloud.distinct import distinct
 from csgm_ros.cloud.kernels import kernel
 from csgm_ros.cloud.nearest_grid import lookup
 from csgm_ros.types import NearestGrid
@@ -110,14 +111,4 @@ def best_distinct(
     distance : float
         RMS displacement of the probe below which two transforms are the same.
     """
-    images = np.empty((count, *probe.shape))
-    kept: list[int] = []
-    for h in np.argsort(-ranking, kind='stable'):
-        image = probe @ transforms[h, :3, :3].T + transforms[h, :3, 3]
-        if kept and ((images[: len(kept)] - image) ** 2).sum(2).mean(1).min() < distance**2:
-            continue
-        images[len(kept)] = image
-        kept.append(h)
-        if len(kept) == count:
-            break
-    return np.array(kept, int)
+    return distinct(transforms, np.argsort(-ranking, kind='stable'), probe, distance, count)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from csgm_ros.cloud.agreement import Agreement, Comparison
+from csgm_ros.cloud.distinct import distinct
 from csgm_ros.cloud.witnesses import NEAR
 from csgm_ros.types import NearestGrid
 from csgm_ros.verification.probes import SCALES, mirrors, scales, symmetries
@@ -201,20 +202,8 @@ def _different(
     """Return the ``count`` best of (H, 4, 4) transforms that are so many cells apart, as so many points tell."""
     source = comparison.sides[0]
     probe = source.points[source.sample[:PROBES]]
-    ends = probe @ transforms[:, :3, :3].transpose(0, 2, 1) + transforms[:, None, :3, 3]
-    kept: list[int] = []
-    for number in _ranked(comparison, transforms, points):
-        offsets = ((ends[kept] - ends[number]) ** 2).sum(2).mean(1)
-        if (offsets > (distance * comparison.cell) ** 2).all():
-            kept.append(number)
-        if len(kept) == count:
-            break
-    return transforms[kept]
-
-
-def _ranked(comparison: Comparison, transforms: np.ndarray, points: int) -> np.ndarray:
-    """Return the order of (H, 4, 4) transforms, best first, as so many points tell."""
-    return np.argsort(comparison.scores(transforms, points))[::-1]
+    order = np.argsort(comparison.scores(transforms, points))[::-1].copy()
+    return transforms[distinct(transforms, order, probe, distance * comparison.cell, count)]
 
 
 def refined(
