@@ -223,7 +223,7 @@ class HypothesesConfig(Checked):
         low=0.05,
         high=20.0,
     )
-    trials: int = param(1000000, 'minimal samples (triples) drawn per source', low=100, high=100000000)
+    trials: int = param(250000, 'minimal samples (triples) drawn per source', low=100, high=100000000)
     limit: int = param(10000, 'hypotheses kept per relative scale and source', low=10, high=1000000)
     min_side: float = param(0.2, 'shortest side of a triple', unit=RADIUS, low=0.01, high=1.0)
     side_tolerance: float = param(0.2, 'how much the scales of the sides of a triple may differ', low=0.01, high=1.0)
