@@ -33,7 +33,8 @@ SOON, EVERY = 0.3, 2.0  # seconds of new frames after which a place that was fou
 ASTRAY = 0.3, 25.0, 0.05  # sigma of a sensor about a place that may be a little off: metres, degrees, relative scale
 LATELY, BETWEEN = 6, 2  # frames that are laid on the map, and every which one they are
 GAIN = 0.5  # of a correction of the map's place relative to the odometry
-WORSE = 2.5  # times as much may disagree in a single frame as in all that were searched for
+WORSE, ELSEWHERE = 2.5, 2.0  # times as much as where it was tracked may disagree: where a frame confirms, a check moves
+FOUND = 1.25, 1.5  # and where a search finds, by fewer than LEAST_FRAMES and by more: most wrong places disagree more
 SIMILAR = 0.6  # of what was tracked: closeness at which a place is as good
 REACHES = 1.5, np.inf  # of the searches, one after the other: what one does not find, the next may
 FRESH = 0.25  # of the first seconds: new frames that are worth another look
@@ -224,7 +225,7 @@ class Session:
             self._state, self._reason = TRACKING, f'{self._confirmed} frames in a row agree with the map'
         return evidence
 
-    def _enough(self, worse: float = 2.0) -> tuple[float, float]:
+    def _enough(self, worse: float) -> tuple[float, float]:
         """Return what a place must reach that is as good as those tracked: closeness, agreement.
 
         What disagrees may be ``worse`` times as much.
@@ -294,7 +295,7 @@ class Session:
             return
         items, sensor = self._recent, self._odometry.matrix
         prior = expected(self._place @ sensor, ASTRAY)
-        query = Query(_seen(items), self._voxel, self._scale.value, prior, sensor, self._enough())
+        query = Query(_seen(items), self._voxel, self._scale.value, prior, sensor, self._enough(ELSEWHERE))
         if first:
             since = [item for item in items if item[0] >= self._found.stamp]
             query = query._replace(fresh=_seen(since), prior=self._found.prior or prior)
@@ -383,7 +384,8 @@ class Session:
         scale = self._scale.value if known else None
         reach = REACHES[self._searches % len(REACHES)]
         sensor = self._odometry.matrix
-        query = Query(_seen(self._recent), self._voxel, scale, self._prior, sensor, self._enough(), wide, reach)
+        enough = self._enough(FOUND[len(self._recent) >= LEAST_FRAMES])
+        query = Query(_seen(self._recent), self._voxel, scale, self._prior, sensor, enough, wide, reach)
         if self._candidates is not None:
             query = query._replace(candidates=self._candidates, fresh=_seen(fresh))
         inputs = query, self._map, self.config, self._drawn(), self._closed

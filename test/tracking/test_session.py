@@ -256,7 +256,7 @@ def test_a_place_of_which_a_check_tells_nothing_is_checked_again_soon_and_nothin
     asked, enough = Asked(), []
     for _, session, estimate in told(kitchen, range(20), executor=asked):
         if estimate.state == 'tracking':
-            enough.append(session._enough())
+            enough.append(session._enough(2.0))
     assert len(enough) > 10
     assert len(set(enough)) == 1
     assert len(asked.checks) >= 3
@@ -272,6 +272,8 @@ def test_a_sensor_that_was_lost_is_looked_for_where_it_was_with_each_frame_and_t
         session.add(kitchen.points(k), kitchen.stamps[k] + 2.0)
         session._job.future.set_result(Found(None, 'told'))
     assert [(len(query.seen), query.wide) for query in asked.searches] == [(1, False), (2, False), (3, True)]
+    least = [query.enough[1] for query in asked.searches]  # of fewer frames more must agree
+    assert least[0] == least[1] > least[2]
 
 
 def test_a_single_wall_does_not_tell_the_scale():
