@@ -66,6 +66,5 @@ def elsewhere(query: Query, prepared: PreparedMap, place: np.ndarray, rng: np.ra
     here = localizer.weighed(place)
     hypotheses = localizer.promising(around(query.prior, query, rng), PROMISING)
     best, *_ = localizer.best(np.concatenate((place[None], hypotheses)), 1 + PLACES, fixed_scale=True)
-    if localizer.alike(best.matrix, place) or best.score < BETTER * here.score:
-        return Second()
-    return Second(best.matrix, best.evidence) if best.evidence.reaches(query.enough) else Second()
+    better = best.score >= BETTER * here.score and best.evidence.reaches(query.enough)
+    return Second(best.matrix, best.evidence) if better and not localizer.alike(best.matrix, place) else Second()
